@@ -42,6 +42,8 @@ class Baseline:
         What the reader of a verdict should know.
     extractor_version
         Version of the extractor the vectors came from; versions must not be mixed.
+    sd, correlation, whitening
+        Of the covariance, the last its correlation's `whitening_matrix`.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Baseline:
     extractor_version: str = EXTRACTOR_VERSION
     sd: FloatArray = field(init=False)
     correlation: FloatArray = field(init=False)
+    whitening: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         for name in ("mean", "covariance", "distances_squared"):
@@ -70,6 +73,7 @@ class Baseline:
         sd = np.sqrt(np.diag(self.covariance))
         object.__setattr__(self, "sd", _read_only(sd))
         object.__setattr__(self, "correlation", _read_only(self.covariance / np.outer(sd, sd)))
+        object.__setattr__(self, "whitening", _read_only(whitening_matrix(self.correlation)))
 
     @property
     def n(self) -> int:

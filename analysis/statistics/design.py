@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.statistics.baseline import Baseline, whitening_matrix
+from analysis.statistics.baseline import Baseline
 from analysis.statistics.chart import Chart, designed, unshown_memory
 from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
@@ -144,7 +144,7 @@ def next_memory(
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     new = innovation(vector - chart.mean, before - chart.mean, distance, chart.phi)
     entering = {
-        AVERAGE: (vector - baseline.mean) / baseline.sd @ whitening_matrix(baseline.correlation),
+        AVERAGE: (vector - baseline.mean) / baseline.sd @ baseline.whitening,
         CHART: chart.entering(new),
     }
     averages = {

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.errors import InvalidInputError
-from analysis.statistics.baseline import Baseline, whitening_matrix
+from analysis.statistics.baseline import Baseline
 from analysis.waves.record_reduction import FloatArray
 
 
@@ -53,7 +53,7 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
     FloatArray
         Shape (..., p).
     """
-    whitened = _standardised(vectors, baseline) @ whitening_matrix(baseline.correlation)
+    whitened = _standardised(vectors, baseline) @ baseline.whitening
     return np.asarray(whitened**2)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.errors import AnalysisError, NotEnoughSetsError
-from analysis.statistics.baseline import Baseline, fit_baseline, whitening_matrix
+from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.baseline_check import Named, named_in
 from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
@@ -221,7 +221,7 @@ def _statistics(
 
 
 def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
-    return np.asarray((vectors - baseline.mean) / baseline.sd @ whitening_matrix(baseline.correlation))
+    return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 
 def _placed(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:

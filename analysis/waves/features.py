@@ -21,8 +21,10 @@ extractor in one baseline.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -30,7 +32,7 @@ from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, stretch_alike
-from analysis.waves.fft_length import fast_length
+from analysis.waves.fft_length import fast_length, together
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
@@ -38,9 +40,10 @@ from analysis.waves.record_reduction import (
     MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
+    Given,
     ReducedRecord,
     mean_weights,
-    reduce_record,
+    reduce_records,
 )
 from analysis.waves.uncertainty import standard_deviations
 from hardware_drivers.measurement import Waveform
@@ -81,6 +84,7 @@ OTHER_FEATURE_NAMES = (
     "noise_rms_v",
 )
 ALL_FEATURE_NAMES = FEATURE_NAMES + OTHER_FEATURE_NAMES
+_EVERY_FEATURE = attrgetter(*ALL_FEATURE_NAMES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +135,7 @@ class ShotFeatures:
 
     def values(self) -> dict[str, float]:
         """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
-        return {name: getattr(self, name) for name in ALL_FEATURE_NAMES}
+        return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
         """Return the five features of the Mahalanobis vector, shape (5,)."""
@@ -140,10 +144,17 @@ class ShotFeatures:
 
 def graded(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
     """Give a shot its flags, in the order of `FLAGS`, and what follows from them."""
+    return replace(shot, **_grade(found))
+
+
+def _grade(found: Collection[str]) -> dict[str, Any]:
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
-    quality: Quality = "bad" if not valid else "suspect" if flags else "good"
-    return replace(shot, flags=flags, valid=valid, quality=quality)
+    return {
+        "flags": flags,
+        "valid": valid,
+        "quality": "bad" if not valid else "suspect" if flags else "good",
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,13 +200,27 @@ def extract_features(waveform: Waveform, settings: ExtractionSettings = Extracti
     RecordError
         The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead).
     """
-    return extract_from_volts(
-        waveform.volts(),
-        waveform.sample_rate_hz,
-        waveform.pretrigger_samples,
-        clipped=waveform.clipped,
-        settings=settings,
-    )
+    return extract_all([waveform], settings)[0]
+
+
+def extract_all(
+    waveforms: Sequence[Waveform],
+    settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+) -> list[ShotFeatures]:
+    """Features of each of many shots, to the last bit those that it has alone.
+
+    One step after the other for all of them costs less than one shot after the other: a processor that
+    repeats itself has at hand what it needs.
+
+    Raises
+    ------
+    RecordError
+        As for `extract_features`, where any record asks for it.
+    """
+    if not all(np.isfinite(w.calibration.coefficients_v).all() for w in waveforms):
+        raise RecordError("a calibration's coefficients must be finite")
+    given = [Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms]
+    return _extracted(given, settings)
 
 
 def extract_from_average(
@@ -249,28 +274,46 @@ def extract_from_volts(
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
-    record = reduce_record(samples, sample_rate_hz, pretrigger_samples, settings)
-    pulses = find_pulses(record, settings)
-    found = {"clipped"} if clipped else set()
-    pull, pulled = math.nan, False
-    if pulses.isw is not None:
-        psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-        pull, pulled = deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
-    found |= _flags(record, pulses, settings, sample_rate_hz, pulled=pulled)
-    flags = tuple(flag for flag in FLAGS if flag in found)
-    valid = INVALIDATING_FLAGS.isdisjoint(flags)
+    given = Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
+    return _extracted([given], settings, with_sd=with_sd)[0]
+
+
+def _extracted(
+    given: Sequence[Given], settings: ExtractionSettings, *, with_sd: bool = False
+) -> list[ShotFeatures]:
+    records = reduce_records(given, settings)
+    pulses = [find_pulses(record, settings) for record in records]
+    pulls = [_pull(record, found) for record, found in zip(records, pulses, strict=True)]
+    flags = [
+        _flags(record, found, settings, one, pulled=pulled)
+        for record, found, one, (_, pulled) in zip(records, pulses, given, pulls, strict=True)
+    ]
     # What something else started looks like a wave at times: nothing is measured of it.
-    measured: dict[str, Any] = {} if "false_trigger" in found else _measured(record, pulses, settings)
-    return ShotFeatures(
-        **measured,
-        noise_rms_v=record.noise_rms_v,
-        pull_fraction=pull,
-        outline=_outline(record, pulses),
-        sd=standard_deviations(record, pulses, measured, settings) if with_sd else {},
-        flags=flags,
-        valid=valid,
-        quality="bad" if not valid else "suspect" if flags else "good",
-    )
+    measured: list[dict[str, Any]] = [
+        {} if "false_trigger" in flagged else _measured(record, found, settings)
+        for record, found, flagged in zip(records, pulses, flags, strict=True)
+    ]
+    _autocorrelate(records, pulses, measured, settings)
+    return [
+        ShotFeatures(
+            **values,
+            **_grade(flagged),
+            noise_rms_v=record.noise_rms_v,
+            pull_fraction=pull,
+            outline=_outline(record, found),
+            sd=standard_deviations(record, found, values, settings) if with_sd else {},
+        )
+        for record, found, (pull, _), flagged, values in zip(
+            records, pulses, pulls, flags, measured, strict=True
+        )
+    ]
+
+
+def _pull(record: ReducedRecord, pulses: Pulses) -> tuple[float, bool]:
+    if pulses.isw is None:
+        return math.nan, False
+    psw_time_s = None if pulses.psw is None else pulses.psw.time_s
+    return deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
 
 
 def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
@@ -279,6 +322,13 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given, *, pulled: bool
+) -> set[str]:
+    flags = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz, pulled=pulled)
+    return flags | {"clipped"} if given.clipped else flags
+
+
+def _flags_of_pulses(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float, *, pulled: bool
 ) -> set[str]:
     spiked, stirred = _at_trigger(record)
@@ -337,17 +387,17 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
     after = record.samples_v[trigger : trigger + front] - record.offset_v
     if before.size == 0 or after.size == 0:
         return False, False
-    height = _farthest(after, before)
+    height = max(_farthest(after), _farthest(before))
     stirred = height > STIRRED_SNR * record.noise_rms_v
     if not stirred:
         return False, False
     risen = _farthest(after[: jump + 1] - before.sum() / before.size)
-    return risen >= JUMP_PART * max(height, _farthest(record.blocks_v)), True
+    return risen >= JUMP_PART * height and risen >= JUMP_PART * _farthest(record.blocks_v), True
 
 
-def _farthest(*values: FloatArray) -> float:
+def _farthest(values: FloatArray) -> float:
     """Largest distance from zero."""
-    return max(max(float(part.max()), -float(part.min())) for part in values)
+    return max(float(values.max()), -float(values.min()))
 
 
 def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
@@ -380,15 +430,14 @@ def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSetting
         values.update(ssw_time_s=ssw.time_s, ssw_amplitude_v=ssw.amplitude_v)
     if psw is None:
         return values
-    tof_ac, coefficient = _autocorrelation(record, isw, psw, settings)
     psw_area = _area(record, psw.time_s, settings.window_half_width_s)
     isw_area = _area(record, isw.time_s, settings.window_half_width_s)
     values.update(
         tof_pp_s=psw.time_s - isw.time_s,
         tof_mf_s=psw.matched_time_s - isw.matched_time_s,
-        tof_ac_s=tof_ac,
+        tof_ac_s=math.nan,
+        autocorrelation_coefficient=math.nan,
         amplitude_ratio=psw.amplitude_v / isw.amplitude_v,
-        autocorrelation_coefficient=coefficient,
         psw_area_v_s=psw_area,
         psw_isw_area_ratio=psw_area / isw_area if isw_area > 0.0 else math.nan,
         psw_time_s=psw.time_s,
@@ -411,10 +460,43 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
     return total * record.step_s
 
 
-def _autocorrelation(
-    record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
-) -> tuple[float, float]:
-    """Time of flight and coefficient of the gated, smoothed autocorrelation (module docstring).
+def _autocorrelate(
+    records: Sequence[ReducedRecord],
+    pulses: Sequence[Pulses],
+    measured: Sequence[dict[str, float]],
+    settings: ExtractionSettings,
+) -> None:
+    """Add time of flight and coefficient by autocorrelation to what has both waves."""
+    gates: dict[int, _Gate] = {}
+    for k, (record, found, values) in enumerate(zip(records, pulses, measured, strict=True)):
+        if "tof_pp_s" in values and found.isw is not None and found.psw is not None:
+            gate = _gated(record, found.isw, found.psw, settings)
+            if gate is not None:
+                gates[k] = gate
+    lengths = [fast_length(gate.smooth_v.size + gate.high + 2) for gate in gates.values()]
+    correlations = together([gate.smooth_v for gate in gates.values()], lengths, _correlation)
+    for (k, gate), correlation in zip(gates.items(), correlations, strict=True):
+        measured[k].update(_highest(gate, correlation, records[k]))
+
+
+def _correlation(rows: FloatArray, n_fft: int) -> FloatArray:
+    """Autocorrelation of each row, shape (..., n_fft)."""
+    spectrum = rfft(rows, n_fft)
+    return np.asarray(irfft(spectrum.real**2 + spectrum.imag**2, n_fft))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gate:
+    """Smoothed record around ISW and PSW, its R(0) at the full rate, and the lags to look at."""
+
+    smooth_v: FloatArray
+    power: float
+    low: int
+    high: int
+
+
+def _gated(record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings) -> _Gate | None:
+    """Gate and smooth a record for its autocorrelation (module docstring); None: nothing stands out.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add.
@@ -430,20 +512,23 @@ def _autocorrelation(
     low = max(1, math.ceil(tof - search))
     high = min(gate.size - 2, math.floor(tof + search))
     if power <= 0.0 or high <= low:
-        return math.nan, math.nan
+        return None
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    smooth = np.correlate(gate, mean_weights(width), "full")
-    n_fft = fast_length(smooth.size + high + 2)
-    spectrum = rfft(smooth, n_fft)
-    correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
-    peak = low + int(correlation[low : high + 1].argmax())
-    before, centre, after = (float(v) for v in correlation[peak - 1 : peak + 2])
+    return _Gate(np.correlate(gate, mean_weights(width), "full"), power, low, high)
+
+
+def _highest(gate: _Gate, correlation: FloatArray, record: ReducedRecord) -> dict[str, float]:
+    """Read lag and coefficient off the highest value; nothing where it lies at the edge of the lags."""
+    peak = gate.low + int(correlation[gate.low : gate.high + 1].argmax())
+    before, centre, after = correlation[peak - 1 : peak + 2].tolist()
     if not before <= centre >= after:
-        # The highest value lies on the edge of the search window: it is no maximum, so not the PSW's.
-        return math.nan, math.nan
+        return {}  # no maximum, so not the PSW's
     shift = parabola_peak(before, centre, after)
     height = centre - 0.25 * (before - after) * shift
-    return (peak + shift) * record.step_s, height * record.block_samples / power
+    return {
+        "tof_ac_s": (peak + shift) * record.step_s,
+        "autocorrelation_coefficient": height * record.block_samples / gate.power,
+    }
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
@@ -463,8 +548,8 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         raise InvalidInputError(f"minimum_valid is {minimum_valid}; it must be at least 1")
     valid = [shot for shot in shots if shot.valid]
     n_valid = len(valid)
-    counts = {flag: sum(flag in shot.flags for shot in shots) for flag in FLAGS}
-    listed = ", ".join(f"{flag} in {count}" for flag, count in counts.items() if count)
+    counts = Counter(flag for shot in shots for flag in shot.flags)
+    listed = ", ".join(f"{flag} in {counts[flag]}" for flag in FLAGS if flag in counts)
     missing = dict.fromkeys(ALL_FEATURE_NAMES, math.nan)
     if n_valid < minimum_valid:
         reason = f"{n_valid} of {len(shots)} shots valid, {minimum_valid} needed"
@@ -476,7 +561,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
             quality="bad",
             reason=f"{reason} ({listed})" if listed else reason,
         )
-    table = np.array([[getattr(shot, name) for name in ALL_FEATURE_NAMES] for shot in valid])
+    table = np.array([_EVERY_FEATURE(shot) for shot in valid])
     if n_valid >= FEWEST_FOR_FAR:
         table = _without_far(table)
     mean, sd = _column_statistics(table)
@@ -500,10 +585,16 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
 def _without_far(table: FloatArray) -> FloatArray:
     """Put NaN in the place of values far from their column's others."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
-    distance = np.abs(known - np.median(known, axis=0))
-    middle = np.median(distance, axis=0)
+    distance = np.abs(known - _medians(known))
+    middle = _medians(distance)
     # More than half alike have no scatter to compare with.
     return np.where((distance > FAR_APART * MAD_TO_SD * middle) & (middle > 0.0), np.nan, table)
+
+
+def _medians(table: FloatArray) -> FloatArray:
+    """Median of each column: NumPy's digits without its search for NaN."""
+    ordered, upper = np.sort(table, axis=0), len(table) // 2
+    return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

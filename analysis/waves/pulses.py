@@ -224,7 +224,8 @@ def _leading(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
     """First pulse between two indices of at least ``fraction`` of the highest there and above ``floor``."""
-    inside = [(index, float(record.matched_v[index])) for index in maxima if first <= index <= last]
+    found = [index for index in maxima if first <= index <= last]
+    inside = list(zip(found, record.matched_v[found].tolist(), strict=True)) if found else []
     highest = max((height for _, height in inside), default=0.0)
     if highest <= 0.0:
         return None
@@ -241,7 +242,7 @@ def parabola_peak(before: float, centre: float, after: float) -> float:
 def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
-    before, centre_v, after = (float(v) for v in matched[matched_index - 1 : matched_index + 2])
+    before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
     shift = parabola_peak(before, centre_v, after)
     reach = round(150e-6 / record.step_s)
     start = max(0, matched_index - reach)
@@ -296,9 +297,10 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
         return 0.0
     if first == 0 or last == values.size - 1:
         return math.nan
-    left = first - (values[first] - level) / (values[first] - values[first - 1])
-    right = last + (values[last] - level) / (values[last] - values[last + 1])
-    return float(right - left)
+    below, above = values[first - 1 : first + 1].tolist()
+    left = first - (above - level) / (above - below)
+    above, below = values[last : last + 2].tolist()
+    return float(last + (above - level) / (above - below) - left)
 
 
 @lru_cache(maxsize=1024)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.waves.features import ShotFeatures, extract_features
+from analysis.waves.features import ShotFeatures, extract_all, extract_features
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import Begun, Measurement, MissedShot, MissReason
@@ -153,6 +153,14 @@ def features_of(shot: Shot) -> ShotFeatures:
     except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
         log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
+
+
+def features_of_all(shots: Sequence[Shot]) -> list[ShotFeatures]:
+    """Features of each of many shots: as `features_of`, quicker."""
+    try:
+        return extract_all([shot.waveform for shot in shots])
+    except Exception:  # noqa: BLE001 each is tried alone, which logs the one
+        return [features_of(shot) for shot in shots]
 
 
 def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:

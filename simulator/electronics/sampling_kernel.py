@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.numerics.arrays import FloatArray
+from simulator.numerics.lanes import load, positive, store
 from simulator.numerics.machine_code import compiled
+
+AT_ONCE = 8
+"""Samples that are computed at a time: a register of 512 bits, or two of 256."""
 
 
 @compiled(error_model="numpy")
@@ -36,27 +40,35 @@ def cubic_samples(
     FloatArray
         float64, shape (n_samples,).
     """
-    sampled = np.zeros(n_samples)
+    # Samples between two points of the grid are a vector; what it holds beyond the second one is overwritten.
+    sampled = np.zeros(n_samples + AT_ONCE)
+    numbers = np.arange(float(AT_ONCE))
     last = volts.shape[0] - 1
     steps_per_sample = 1.0 / (rate_hz * step_s)
     offset = start_s / step_s
-    known = -1
-    cubic = square = slope = here = 0.0
-    for i in range(max(0, math.ceil(-start_s * rate_hz)), n_samples):
-        place = min(max(i * steps_per_sample + offset, 0.0), float(last))
-        k = int(place)
-        if k != known:
-            known = k
-            before = volts[k - 1] if k > 0 else 0.0
-            here = volts[k]
-            after = volts[min(k + 1, last)]
-            later = volts[min(k + 2, last)]
-            cubic = (later - before) / 6.0 + 0.5 * (here - after)
-            square = 0.5 * (before + after) - here
-            slope = after - here - square - cubic
-        place -= k
-        sampled[i] = ((cubic * place + square) * place + slope) * place + here
-    return sampled
+    first = max(0, math.ceil(-start_s * rate_hz))
+    for k in range(max(0, int(first * steps_per_sample + offset)), last):
+        if first >= n_samples:
+            break
+        end = int((k + 1.0 - offset) / steps_per_sample)
+        while end > first and (end - 1) * steps_per_sample + offset >= k + 1.0:
+            end -= 1
+        while end * steps_per_sample + offset < k + 1.0:
+            end += 1
+        before = volts[k - 1] if k > 0 else 0.0
+        here = volts[k]
+        after = volts[k + 1]
+        later = volts[min(k + 2, last)]
+        cubic = (later - before) / 6.0 + 0.5 * (here - after)
+        square = 0.5 * (before + after) - here
+        slope = after - here - square - cubic
+        for i in range(first, min(end, n_samples), AT_ONCE):
+            place = (load(numbers, 0, AT_ONCE) + float(i)) * steps_per_sample + offset
+            place = positive(place) - float(k)
+            store(sampled, i, ((cubic * place + square) * place + slope) * place + here)
+        first = max(first, end)
+    sampled[first:] = volts[last]
+    return sampled[:n_samples]
 
 
 @compiled(error_model="numpy")
@@ -104,12 +116,14 @@ def add_noise(
         Weights of four points of that grid in each sample of a step, shape (4, samples per step).
     """
     n, per_step = volts.shape[0], cubic.shape[1]
+    w0, w1, w2, w3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for step in range(-(-n // per_step)):
         c0, c1, c2, c3 = coarse[step], coarse[step + 1], coarse[step + 2], coarse[step + 3]
-        first = step * per_step
-        for k in range(min(per_step, n - first)):
-            slow = c0 * cubic[0, k] + c1 * cubic[1, k] + c2 * cubic[2, k] + c3 * cubic[3, k]
-            volts[first + k] += white[first + k] * white_rms + slow_rms * slow
+        # Slices: numbers counted from their beginning can be vectors.
+        here, noise = volts[step * per_step :], white[step * per_step :]
+        for k in range(min(per_step, here.shape[0])):
+            slow = c0 * w0[k] + c1 * w1[k] + c2 * w2[k] + c3 * w3[k]
+            here[k] += noise[k] * white_rms + slow_rms * slow
 
 
 @compiled(error_model="numpy")

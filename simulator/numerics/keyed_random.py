@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 from enum import IntEnum
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
+from simulator.numerics.seed_mixing import SeedWords
 
 
 class Purpose(IntEnum):
@@ -57,16 +59,16 @@ def generator(
     Returns
     -------
     numpy.random.Generator
-        SFC64, the fastest of numpy's normal generators, seeded through SeedSequence, whose mixing
+        SFC64, the fastest of numpy's normal generators, seeded as through SeedSequence, whose mixing
         keeps the streams of neighbouring keys independent.
     """
     name = position if key is None else key.position
     words = [seed, int(purpose), *_name_words(name)]
     if key is not None:
         words += [key.set_index, key.shot_index, key.attempt]
-    # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide. It takes an
-    # array of such words as it is, where it would look at each number of a list.
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(np.array(words, dtype=np.uint32))))
+    # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide.
+    mixed: Any = SeedWords(np.array(words, dtype=np.uint32))  # NumPy's types know its own class alone
+    return np.random.Generator(np.random.SFC64(mixed))
 
 
 @lru_cache(maxsize=256)

@@ -20,7 +20,8 @@ in the same way ``z' = -i omega z + omega phi B`` with ``z = omega q + i (q' - p
 exactly for the cubic through the last four values of the integral I and for the straight line through
 the last two of the dashpot's part S, ``B = I + S``: the line keeps any dashpot on any plate stable,
 and S is a small part of B, so that the lower order is not seen. The contact with the plate is solved
-implicitly with Newton's method.
+implicitly with Newton's method. How `modal_weights` turns a mode with two additions and one product:
+it is most of the work.
 
 Modes above the cut follow the force statically, ``w = C (A d^(3/2) + dS/dt)``, with a backward
 difference. That of order three is not passive: at some frequencies the real part of
@@ -68,8 +69,9 @@ FloatArray = NDArray[np.float64]
 LAWS_OF_DAMPING = (0.0, 0.25, 0.5, 1.5)
 """Exponents p of the dashpots, the linear one first."""
 
-WIDEST = 8
-"""Shots side by side: eight float64 fill a register of 512 bits, and two of 256."""
+WIDEST, NARROWEST = 8, 2
+"""Shots side by side: eight float64 fill a register of 512 bits, and two of 256; two of a few shots leave no
+more to wait for than one alone."""
 
 ENERGY_INTERVAL_STEPS = 16
 """The energy balance is drawn up every so many steps and at the end."""
@@ -84,7 +86,7 @@ CHORD_TOLERANCE = 1e-9
 """Last relative change with a slope that is off by some 1e-4: the error is that part of the change."""
 
 BLOCK = 8
-"""So many modes, or bodies, of a single shot are treated at a time."""
+"""So many modes of a shot, or numbers of all bodies, are treated at a time."""
 
 BANK_ROWS = 16
 """Numbers of a mode, see `simulator.shot.modal_weights`."""
@@ -174,14 +176,15 @@ def _contact(
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
-    w_per_last_i = w_per_last_s = 0.0
+    w_per_last_i = w_per_last_s = w_per_earlier_i = 0.0
     for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
         for j in range(BLOCK):
             k = b * BANK_ROWS * BLOCK + j
-            w_per_i += bank[k + 12 * BLOCK]
-            w_per_s += bank[k + 14 * BLOCK]
-            w_per_last_i += bank[k + 2 * BLOCK]
-            w_per_last_s += bank[k + 8 * BLOCK]
+            w_per_i += bank[k + 6 * BLOCK]
+            w_per_s += bank[k + 7 * BLOCK]
+            w_per_last_i += bank[k + BLOCK] - bank[k + 8 * BLOCK]
+            w_per_last_s += bank[k + 3 * BLOCK]
+            w_per_earlier_i -= bank[k + 9 * BLOCK]
     per_mass = 1.0 / chains.mass[last]
     stiffness, dashpot = (
         load(chains.stiffness, last * width, width),
@@ -214,6 +217,7 @@ def _contact(
         w_per_s=w_per_s,
         w_per_last_i=w_per_last_i,
         w_per_last_s=w_per_last_s,
+        w_per_earlier_i=w_per_earlier_i,
         rate0=rate0,
         rate1=rate1 / step,
         rate2=rate2 / step,
@@ -297,55 +301,78 @@ def _struck_twice(
 
 
 @_step
-def _turn_modes_of_one(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
-    """Advance the modes of a plate under a single shot; sums of every eighth mode's deflection.
+def _turned(
+    bent: Any, gain: Any, m: Any, i_bends: Any, i_gains: Any, s_bends: Any, s_gains: Any, i0: Any, s0: Any
+) -> Any:
+    """Deflection without what I and S add, and the state after a step with it.
 
-    The sums lack this step's own impulse. What the last step gave is added at the end: nothing else needs
-    to wait for its contact.
+    What the last step gave is added at the end: nothing else needs to wait for its contact.
     """
-    sum_of_blocks = broadcast(0.0, BLOCK)
-    i0, i1, i2, s0 = lane(last.i[0], 0), lane(last.i[1], 0), lane(last.i[2], 0), lane(last.s[0], 0)
+    gain = fma(m, bent, gain)
+    bent = bent + gain
+    return bent, fma(i_bends, i0, fma(s_bends, s0, bent)), fma(i_gains, i0, fma(s_gains, s0, gain))
+
+
+@_step
+def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
+    """Advance the modes of a plate, eight of one shot at a time; the deflections of each shot summed.
+
+    The sums lack what I and S add.
+    """
+    total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
+    i0, s0, i1, s1 = lane(last.i[0], 0), lane(last.s[0], 0), lane(last.i[0], 1), lane(last.s[0], 1)
     for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
-        k = b * BANK_ROWS * BLOCK
-        m = 2 * b * BLOCK
-        y_re, y_im = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
-        cos, sin = load(bank, k, BLOCK), load(bank, k + BLOCK, BLOCK)
-        re = fma(load(bank, k + 4 * BLOCK, BLOCK), i1, cos * y_re)
-        im = fma(load(bank, k + 5 * BLOCK, BLOCK), i1, cos * y_im)
-        re = fma(load(bank, k + 6 * BLOCK, BLOCK), i2, re)
-        im = fma(load(bank, k + 7 * BLOCK, BLOCK), i2, im)
-        re = fma(sin, y_im, re)
-        im = fma(sin, 0.0 - y_re, im)
-        sum_of_blocks = sum_of_blocks + re
-        re = fma(load(bank, k + 8 * BLOCK, BLOCK), s0, re)
-        im = fma(load(bank, k + 9 * BLOCK, BLOCK), s0, im)
-        store(y, m, fma(load(bank, k + 2 * BLOCK, BLOCK), i0, re))
-        store(y, m + BLOCK, fma(load(bank, k + 3 * BLOCK, BLOCK), i0, im))
-    store(sums, 0, sum_of_blocks)
+        k, m = b * BANK_ROWS * BLOCK, 4 * b * BLOCK
+        turn = load(bank, k, BLOCK)
+        i_bends, i_gains = load(bank, k + BLOCK, BLOCK), load(bank, k + 2 * BLOCK, BLOCK)
+        s_bends, s_gains = load(bank, k + 3 * BLOCK, BLOCK), load(bank, k + 4 * BLOCK, BLOCK)
+        bent, gain = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
+        seen, bent, gain = _turned(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i0, s0)
+        total = total + seen
+        store(y, m, bent)
+        store(y, m + BLOCK, gain)
+        bent, gain = load(y, m + 2 * BLOCK, BLOCK), load(y, m + 3 * BLOCK, BLOCK)
+        seen, bent, gain = _turned(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i1, s1)
+        other = other + seen
+        store(y, m + 2 * BLOCK, bent)
+        store(y, m + 3 * BLOCK, gain)
+    _put_sums_of_two(sums, total, other)
+
+
+@_step
+def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
+    """Leave the sum over eight modes of each of two shots where `_sum_of_eight` adds nothing to it."""
+    n = 2 * BLOCK
+    store(sums, n, total)
+    store(sums, n + BLOCK, other)
+    for k in range(2):
+        front = (sums[n] + sums[n + 1]) + (sums[n + 2] + sums[n + 3])
+        sums[k] = front + ((sums[n + 4] + sums[n + 5]) + (sums[n + 6] + sums[n + 7]))
+        n += BLOCK
 
 
 @_step
 def _turn_modes_of_many(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> None:
-    """Do the same for shots side by side, with the same sums."""
+    """Do the same for shots side by side, one mode of all at a time; sums of every eighth mode."""
     for j in range(BLOCK):
-        store(sums, j * width, broadcast(0.0, width))
-    for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
-        for j in range(BLOCK):
-            k = b * BANK_ROWS * BLOCK + j
-            m = 2 * (b * BLOCK + j) * width
-            y_re, y_im = load(y, m, width), load(y, m + width, width)
-            cos, sin = bank[k], bank[k + BLOCK]
-            re = fma(bank[k + 4 * BLOCK], last.i[1], cos * y_re)
-            im = fma(bank[k + 5 * BLOCK], last.i[1], cos * y_im)
-            re = fma(bank[k + 6 * BLOCK], last.i[2], re)
-            im = fma(bank[k + 7 * BLOCK], last.i[2], im)
-            re = fma(sin, y_im, re)
-            im = fma(-sin, y_re, im)
-            store(sums, j * width, load(sums, j * width, width) + re)
-            re = fma(bank[k + 8 * BLOCK], last.s[0], re)
-            im = fma(bank[k + 9 * BLOCK], last.s[0], im)
-            store(y, m, fma(bank[k + 2 * BLOCK], last.i[0], re))
-            store(y, m + width, fma(bank[k + 3 * BLOCK], last.i[0], im))
+        total = broadcast(0.0, width)
+        for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+            k, m = b * BANK_ROWS * BLOCK + j, 2 * (b * BLOCK + j) * width
+            seen, bent, gain = _turned(
+                load(y, m, width),
+                load(y, m + width, width),
+                bank[k],
+                bank[k + BLOCK],
+                bank[k + 2 * BLOCK],
+                bank[k + 3 * BLOCK],
+                bank[k + 4 * BLOCK],
+                last.i[0],
+                last.s[0],
+            )
+            total = total + seen
+            store(y, m, bent)
+            store(y, m + width, gain)
+        store(sums, j * width, total)
 
 
 @_step
@@ -564,25 +591,73 @@ def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chai
 
 
 @_step
-def _energy_of_modes(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> Any:
-    for j in range(BLOCK):
-        store(sums, j * width, broadcast(0.0, width))
+def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
+    total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
+    i, s = last.i, last.s[0]
+    of_first = lane(i[0], 0), lane(i[1], 0), lane(i[2], 0), lane(s, 0)
+    of_second = lane(i[0], 1), lane(i[1], 1), lane(i[2], 1), lane(s, 1)
     for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
-        for j in range(BLOCK):
-            k = b * BANK_ROWS * BLOCK + j
-            if width == 1:
-                m = 2 * b * BLOCK + j
-                re, im = load(y, m, width), load(y, m + BLOCK, width)
-            else:
-                m = 2 * (b * BLOCK + j) * width
-                re, im = load(y, m, width), load(y, m + width, width)
-            bent = re + bank[k + 12 * BLOCK] * last.i[0] + bank[k + 14 * BLOCK] * last.s[0]
-            moving = im + bank[k + 13 * BLOCK] * last.i[0] + bank[k + 15 * BLOCK] * last.s[0]
-            bent = bent * bank[k + 10 * BLOCK]
-            moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (last.i[0] + last.s[0])
-            bent = load(sums, j * width, width) + 0.5 * (moving * moving + bent * bent)
-            store(sums, j * width, bent)
-    return _sum_of_eight(sums, width)
+        k, m = b * BANK_ROWS * BLOCK, 4 * b * BLOCK
+        bending = (
+            load(bank, k + 5 * BLOCK, BLOCK),
+            load(bank, k + 6 * BLOCK, BLOCK),
+            load(bank, k + 8 * BLOCK, BLOCK),
+            load(bank, k + 9 * BLOCK, BLOCK),
+            load(bank, k + 7 * BLOCK, BLOCK),
+        )
+        moving = (
+            load(bank, k + 10 * BLOCK, BLOCK),
+            load(bank, k + 11 * BLOCK, BLOCK),
+            load(bank, k + 12 * BLOCK, BLOCK),
+            load(bank, k + 13 * BLOCK, BLOCK),
+            load(bank, k + 14 * BLOCK, BLOCK),
+            load(bank, k + 15 * BLOCK, BLOCK),
+        )
+        bent, gain = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
+        total = total + _energy_of_mode(bent, gain, of_first, bending, moving)
+        bent, gain = load(y, m + 2 * BLOCK, BLOCK), load(y, m + 3 * BLOCK, BLOCK)
+        other = other + _energy_of_mode(bent, gain, of_second, bending, moving)
+    _put_sums_of_two(sums, total, other)
+
+
+@_step
+def _energy_of_modes_of_many(
+    y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int
+) -> None:
+    acting = last.i[0], last.i[1], last.i[2], last.s[0]
+    for j in range(BLOCK):
+        total = broadcast(0.0, width)
+        for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+            k, m = b * BANK_ROWS * BLOCK + j, 2 * (b * BLOCK + j) * width
+            bending = (
+                bank[k + 5 * BLOCK],
+                bank[k + 6 * BLOCK],
+                bank[k + 8 * BLOCK],
+                bank[k + 9 * BLOCK],
+                bank[k + 7 * BLOCK],
+            )
+            moving = (
+                bank[k + 10 * BLOCK],
+                bank[k + 11 * BLOCK],
+                bank[k + 12 * BLOCK],
+                bank[k + 13 * BLOCK],
+                bank[k + 14 * BLOCK],
+                bank[k + 15 * BLOCK],
+            )
+            bent, gain = load(y, m, width), load(y, m + width, width)
+            total = total + _energy_of_mode(bent, gain, acting, bending, moving)
+        store(sums, j * width, total)
+
+
+@_step
+def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
+    """Energy of a mode under I now, one and two steps ago and S now."""
+    speed = fma(moving[0], gain, moving[1] * bent)
+    speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
+    speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))
+    bent = bent - (bending[2] * acting[1] + bending[3] * acting[2])
+    bent = bending[0] * (bent + (bending[1] * acting[0] + bending[4] * acting[3]))
+    return 0.5 * fma(speed, speed, bent * bent)
 
 
 @cache
@@ -626,7 +701,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         contact = _contact(chains, specimen, step, W, law, LINEAR)
         last = _last_at_rest(chains, contact, zero, W)
         y = np.zeros(bank.shape[0] // (BANK_ROWS * BLOCK) * 2 * BLOCK * W)  # two numbers a mode
-        sums = np.zeros(BLOCK * W)
+        sums = np.zeros(BLOCK * (W + NARROWEST))
         given_energy = _energy_at_first(chains, strikes, contact.compliance, W)  # with the strikes
         launch_speed = strikes.speed.copy()
         worst = largest = turn = zero
@@ -643,11 +718,12 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
                     gained = _struck_twice(bodies, chains, launch_speed, n - 1, k, W, step, second_speed)
                     given_energy[k] += gained
 
-            if W == 1:
-                _turn_modes_of_one(y, sums, bank, last)
+            if W == NARROWEST:
+                _turn_modes_of_two(y, sums, bank, last)
             else:
                 _turn_modes_of_many(y, sums, bank, last, W)
-            w_free = fma(last.s[0], contact.w_per_last_s, _sum_of_eight(sums, W))
+            w_free = fma(last.i[1], contact.w_per_earlier_i, _sum_of_eight(sums, W))
+            w_free = fma(last.s[0], contact.w_per_last_s, w_free)
             w_free = fma(last.i[0], contact.w_per_last_i, w_free)
             _predict_places(bodies, last, last_body * W, size, h24)
             striker = chains.mass[0] * (load(launch_speed, 0, W) + chains.gravity * (n * step))
@@ -676,7 +752,11 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
 
             if n % interval == 0 or n == n_steps - 1:
                 energy = _energy_of_bodies(bodies, last, contact, chains, W)
-                energy = energy + _energy_of_modes(y, sums, bank, last, W)
+                if W == NARROWEST:
+                    _energy_of_modes_of_two(y, sums, bank, last)
+                else:
+                    _energy_of_modes_of_many(y, sums, bank, last, W)
+                energy = energy + _sum_of_eight(sums, W)
                 defect = absolute(energy - load(given_energy, 0, W))
                 # So that what is not a number ends up in `worst` as well.
                 worst = unless_within(defect, worst, defect, worst)

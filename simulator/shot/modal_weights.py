@@ -17,10 +17,16 @@ MANY_POINTS = 24
 def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
     """Bank of weights for the modes of a plate, float64, shape (n_blocks * BANK_ROWS * BLOCK,).
 
-    With y = phi z / omega, whose real parts add up to the deflection under the chain, the rows of a block
-    are: cos and sin of omega h; real and imaginary weights of I one, two and three steps ago and of S one
-    step ago; omega / phi, phi, real and imaginary weights of this step's own I and S. The last block is
-    filled up with zeros, modes that never move.
+    A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
+    ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S one, two and three steps ago; what
+    the step's own I and S add is left out of y and made up for, turned, in the next step. Instead of y
+    its sum with ``b' I1 + c' I2``, ``c' = c / t`` and ``b' = (b + c') / t``, is kept, to which I adds
+    ``(a + b') I1`` alone; and of the imaginary part, ``g = im sin(omega h) + re (1 - cos(omega h))``, so that
+    turning is ``g += m re; re += g`` with ``m = -4 sin^2(omega h / 2)``.
+
+    The rows of a block are: m; what I and S one step ago add to re and g; omega / phi; the real parts of what
+    this step's own I and S add, and of b' and c': they lead back to y; and what g, re, I now, one and two
+    steps ago and S now add to the mode's speed. Zeros fill up the last block, modes that never move.
 
     Parameters
     ----------
@@ -35,13 +41,16 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
     phase = np.multiply.outer(turned, to_end)
     own = (np.cos(phase) @ shares - 1j * (np.sin(phase) @ shares)) * (participation**2 * step_s)[:, None]
     turn = np.cos(turned) - 1j * np.sin(turned)
-    # What a step's own impulse adds is left out of y and made up for, turned, in the next step.
-    rows = [turn.real, -turn.imag]
-    for column in (turn * own[:, 0] + own[:, 1], own[:, 2], own[:, 3], turn * own[:, 4] + own[:, 5]):
-        rows += [column.real, column.imag]
-    rows += [omega_rad_per_s / participation, participation]
-    for column in (own[:, 0], own[:, 4]):
-        rows += [column.real, column.imag]
+    earlier = own[:, 3] / turn
+    last = (own[:, 2] + earlier) / turn
+    m, sine = -4.0 * np.sin(0.5 * turned) ** 2, np.sin(turned)
+    rows = [m]
+    for column in (turn * own[:, 0] + own[:, 1] + last, turn * own[:, 4] + own[:, 5]):
+        rows += [column.real, column.imag * sine - 0.5 * m * column.real]
+    stretch = omega_rad_per_s / participation
+    rows += [stretch, own[:, 0].real, own[:, 4].real, last.real, earlier.real]
+    rows += [stretch / sine, 0.5 * m * stretch / sine, stretch * own[:, 0].imag + participation]
+    rows += [-stretch * last.imag, -stretch * earlier.imag, stretch * own[:, 4].imag + participation]
     n_blocks = -(-len(omega_rad_per_s) // BLOCK)
     bank = np.zeros((BANK_ROWS, n_blocks * BLOCK))
     bank[:, : len(omega_rad_per_s)] = rows

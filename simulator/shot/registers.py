@@ -135,6 +135,7 @@ class Contact(NamedTuple):
     w_per_s: float
     w_per_last_i: float  # and by the last step's
     w_per_last_s: float
+    w_per_earlier_i: float  # by the one before
     rate0: Any  # backward difference
     rate1: Any
     rate2: Any

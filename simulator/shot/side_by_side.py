@@ -8,11 +8,11 @@ import numpy as np
 
 from simulator.chain.spheres import Chain
 from simulator.numerics.arrays import FloatArray
-from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, WIDEST, kernel
+from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, NARROWEST, WIDEST, kernel
 from simulator.shot.registers import Chains, Found, Propagator, Strikes
 
-WORTH_A_WIDE_PASS = 4
-"""Shots from which on a pass of `kernel.WIDEST` lanes costs less than one after the other."""
+WORTH_A_WIDE_PASS = 5
+"""Shots from which on a pass of `kernel.WIDEST` lanes costs less than two after two."""
 
 
 UNMOVED = Propagator(bank=np.empty(0))
@@ -42,7 +42,7 @@ def integrate(
     records: list[Record] = []
     while len(records) < len(chains):
         rest = len(chains) - len(records)
-        width = WIDEST if rest >= WORTH_A_WIDE_PASS else 1
+        width = WIDEST if rest >= WORTH_A_WIDE_PASS else NARROWEST
         together = chains[len(records) : len(records) + width]
         found = _side_by_side(together, width, specimen, step, steps, retainer_force_n, contact_forces)
         records += found

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from daq_service.acquisition.schedule import DueSet, plan
-from daq_service.acquisition.taken_set import features_of
+from daq_service.acquisition.taken_set import features_of_all
 from daq_service.clock import parse_utc
 from daq_service.judgement.assessment import Assessment
 from daq_service.judgement.life import planned
@@ -80,7 +80,7 @@ def judged_sets(settings: Settings, position: str, specimen: Specimen | None = N
             for key, record in zip(keys, records, strict=True)
             if record is not None
         )
-        assessment = assessor.assess(due, shots, [features_of(shot) for shot in shots], n_tried=len(keys))
+        assessment = assessor.assess(due, shots, features_of_all(shots), n_tried=len(keys))
         found = JudgedSet(due=due, hour_h=hour_h, shots=shots, assessment=assessment)
         yield found
         if found.raised & {"hole", "retired"}:

@@ -7,10 +7,12 @@ from support.synthetic_records import cos4
 from analysis.errors import RecordError
 from analysis.waves.record_reduction import (
     ExtractionSettings,
+    Given,
     matched_filter,
     moving_mean,
+    noise_gain,
     noise_rms,
-    reduce_record,
+    reduce_records,
 )
 
 
@@ -45,7 +47,7 @@ def test_moving_mean_takes_zeros_outside():
 
 def test_matched_filter_gives_a_pulse_its_own_amplitude_and_place():
     pulse = 3.0 * cos4(np.arange(600), 300.0, 178.0)
-    output, _ = matched_filter(pulse, 178.0)
+    output = matched_filter(pulse, 178.0)
     assert int(np.argmax(output)) == 300
     assert output[300] == pytest.approx(3.0, rel=1e-12)  # the same sum twice: rounding of an FFT
 
@@ -53,14 +55,14 @@ def test_matched_filter_gives_a_pulse_its_own_amplitude_and_place():
 def test_matched_filter_states_its_own_noise():
     noise = np.random.default_rng(5).standard_normal((200, 1000))
     outputs = [matched_filter(row, 100.0) for row in noise]
-    spread = np.std([output[450:550] for output, _ in outputs])
+    spread = np.std([output[450:550] for output in outputs])
     # 200 records of about 1.5 independent values each know an SD to 4 %: four of these.
-    assert spread == pytest.approx(outputs[0][1], rel=0.16)
+    assert spread == pytest.approx(noise_gain(100.0), rel=0.16)
 
 
 def test_matched_filter_does_not_wrap_around():
     pulse = cos4(np.arange(600), 560.0, 178.0)
-    output, _ = matched_filter(pulse, 178.0)
+    output = matched_filter(pulse, 178.0)
     # A pulse cut off at the end must not reappear at the beginning.
     assert np.abs(output[:300]).max() < 1e-12
 
@@ -72,7 +74,7 @@ def test_matched_filter_needs_four_samples():
 
 def test_reduction_names_time_zero_and_offset():
     volts = 0.7 + 2.0 * cos4((np.arange(13_005) - 1000) / 1e7, 50e-6)
-    record = reduce_record(volts, 1e7, 1000, ExtractionSettings())
+    (record,) = reduce_records([Given(volts, 1e7, 1000)], ExtractionSettings())
     assert record.offset_v == pytest.approx(0.7, abs=1e-12)
     assert record.block_samples == 10
     assert record.blocks_v.size == 1300  # the last 5 samples make no block
