@@ -69,6 +69,7 @@ def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_pat
     def hear():
         while here.poll():
             acknowledged.append(here.recv())
+        return len(acknowledged)
 
     with here, there:
         supervisor, last = in_a_process(supervise, config, folder, there), None
@@ -79,6 +80,13 @@ def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_pat
                 ),
                 "another recorder",
             )
+            if number % 4 > 1:
+                # However busy the machine is, half of the kills come after shots.
+                heard = hear()
+                until(
+                    lambda n=heard, watched=supervisor: watched.exitcode is not None or hear() > n,
+                    "another shot",
+                )
             pause.wait(moments.uniform(0.0, LONGEST_LIFE_S))
             hear()
             if supervisor.exitcode is not None or None in acknowledged:
