@@ -1,6 +1,5 @@
 """Supervisors and recorders killed at any moment, in turn, on one folder: as if nothing had happened."""
 
-import json
 import os
 import random
 import re
@@ -60,8 +59,9 @@ def another_owner(folder, before):
 @pytest.mark.parametrize("kills", [20, pytest.param(200, marks=pytest.mark.slow)])
 def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_path, kills):
     moments, folder, config = random.Random(kills), tmp_path / "data", tmp_path / "test.json"
-    paced = {**SMALL, "schedule": schedule_for(kills), "clock": {"pace_h_per_s": PACE_H_PER_S}}
-    config.write_text(json.dumps(paced), encoding="utf-8")
+    paced = small_settings(schedule=schedule_for(kills), clock={"pace_h_per_s": PACE_H_PER_S})
+    # Every key: one that is missing in a file of JSON has the value of the version that wrote such files.
+    config.write_text(paced.model_dump_json(), encoding="utf-8")
     acknowledged, killed = [], {"supervisor": 0, "recorder": 0}
     pause = threading.Event()
     here, there = Pipe(duplex=False)
