@@ -664,7 +664,7 @@ class Waterfall(Answer):
     row_sets: int = Field(description="Planned sets of a row; a row begins at a multiple of it")
     cell_s: float = Field(description="Time of a column; a whole number of samples")
     first_s: float = Field(description="Begin of the first column, in seconds after the anchor")
-    whole_s: tuple[float, float] = Field(description="Times that there are")
+    whole_s: list[float] = Field(min_length=2, max_length=2, description="Times that there are, from and to")
     sample_rate_hz: float
     delay_s: float | None = Field(description="Of the probe; thickness = (time - delay_s) velocity / 2")
     velocity_m_per_s: float | None
