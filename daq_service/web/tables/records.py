@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -112,11 +113,13 @@ def read_slice(
         raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
     n_most = sum(row.n_taken for row in sets.values())
     # Already the first record tells whether all of them are too many: nothing else is read before.
-    first = next((waveform for _, waveform in _waveforms(archive, choice.position, sets)), None)
-    if first is None:
+    waveforms = _waveforms(archive, choice.position, sets)
+    read_first = next(waveforms, None)
+    if read_first is None:
         raise NoRecordError(
             f"no record of position {choice.position} in these sets can be read; solimon verify tells why"
         )
+    _, first = read_first
     if (n_bytes := n_most * first.counts.size * BYTES_A_SAMPLE) > most_bytes:
         raise UsageError(
             f"these are up to {n_most} records of {first.counts.size} samples, {n_bytes / 1e6:.0f} MB in "
@@ -131,7 +134,7 @@ def read_slice(
     place = {row.sequence: number for number, row in enumerate(shots)}
     voltage_v = np.full((len(shots), first.counts.size), np.nan)
     readable = [False] * len(shots)
-    for sequence, waveform in _waveforms(archive, choice.position, sets):
+    for sequence, waveform in chain([read_first], waveforms):
         if sequence in place:
             _refuse_other(choice.position, first, waveform)
             voltage_v[place[sequence]] = waveform.volts()
