@@ -101,9 +101,9 @@ class Refusal:
 
 
 class Strict(BaseModel):
-    """Refuses what it does not know."""
+    """Refuses what it does not know, and takes no ``true`` for 1 V and no text for a number."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class NoArguments(Strict):

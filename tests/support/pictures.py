@@ -92,7 +92,7 @@ PICTURES = (
         file="pictures/alarms.png",
         hour=60,
         of="#alarms",
-        shows=("2 waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
+        shows=("3 waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
     ),
     Picture(
         file="pictures/status.svg",

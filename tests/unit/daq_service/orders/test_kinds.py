@@ -213,6 +213,9 @@ def test_nobody_s_order_switches_the_supply_on() -> None:
         ("hold", {"note": " \t"}, "arguments.note: Value error, say why, for whoever finds the test on hold"),
         ("hold", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
         ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
+        ("supply_on", {"voltage_v": True}, "arguments.voltage_v: Input should be a valid number"),
+        ("annotate", {"from_h": "1", "text": "x"}, "arguments.from_h: Input should be a valid number"),
+        ("acknowledge_alarm", {"alarm_id": True}, "arguments.alarm_id: Input should be a valid integer"),
     ],
 )
 def test_what_is_no_order_is_refused_with_its_part(
