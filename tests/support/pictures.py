@@ -92,7 +92,7 @@ PICTURES = (
         file="pictures/alarms.png",
         hour=60,
         of="#alarms",
-        shows=("3 waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
+        shows=("waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
     ),
     Picture(
         file="pictures/status.svg",
@@ -104,7 +104,7 @@ PICTURES = (
         file="dashboard.png",
         hour=226,
         of="body",
-        shows=("Hour 226.0", "Mahalanobis squared distance", "3 waiting for acknowledgement"),
+        shows=("Hour 226.0", "Mahalanobis squared distance", "waiting for acknowledgement"),
     ),
     Picture(
         file="pictures/hole.png",
