@@ -42,9 +42,9 @@ from hardware_drivers.measurement import PLANNED_SETS
 pytestmark = needs_a_preload
 
 CACHES = ("tiles/", "live/")
-"""Half of all calls write these; a start makes them again, or goes on without."""
+"""A third of all calls write these; a start makes them again, or goes on without."""
 HOURS_S = 4 * 3600
-"""Of each model: some two thousand states, of a second or two beside other work."""
+"""Of each model: some thousand states, of a second or two beside other work."""
 SOME = 4
 """States of the default run."""
 ALL_STATES = [pytest.mark.slow, pytest.mark.timeout(HOURS_S)]
@@ -136,7 +136,7 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
     left, calls = trace_of(design)
     settings = crash_settings("simulated" if design == "simulated" else "wall")
     whole, count = outcome(left, settings.clock.kind), 0
-    caches = CACHES if some is None else ()
+    caches = CACHES if some is None else None
     for name, state, acknowledged in states(calls, models=models, some=some, caches=caches):
         folder = fast / f"{design} {name.replace('/', '_')}"
         assert told_of_a_crash(state, acknowledged, folder, whole, settings) == [], name

@@ -28,7 +28,10 @@ SOURCE = Path(__file__).with_suffix(".c")
 MODELS = ("kill", "nothing", "torn", "pages")
 PAGES_BYTES = (512, 4096)
 MARK = "k"
-OF_CACHES = 8
+ONE_IN = 8
+"""Of the calls after which a start finds the same: on caches, and on frames of a log without a commit."""
+FRAME_HEAD_BYTES = 24
+"""Of SQLite's write-ahead log; bytes 4 to 8 are 0 unless the frame commits."""
 REBUILT = ("-shm",)
 """Shared memory of SQLite, which the first connection empties: mapped, no call tells what is in it."""
 _HEAD = struct.Struct("<cIIq")
@@ -240,7 +243,7 @@ def states(
     seed: int = 1,
     models: tuple[str, ...] = MODELS,
     some: int | None = None,
-    caches: tuple[str, ...] = (),
+    caches: tuple[str, ...] | None = None,
 ) -> Iterator[tuple[str, State, list[int]]]:
     """What a crash leaves: its name (boundary and model), the folder, the marks before it; each state once.
 
@@ -250,9 +253,11 @@ def states(
         So many by chance instead of all: one model each, in turn. A call that leaves nothing new hands its
         turn on to the next one.
     caches
-        How paths begin that can be lost: a crash comes behind one in `OF_CACHES` calls on these.
+        How paths begin that can be lost. If given, a crash comes behind one in `ONE_IN` calls on these, and
+        of those that write a frame of SQLite's log without a commit: whoever opens the log forgets it.
     """
-    disk, chance, seen, of_caches, owed = Disk(), random.Random(seed), set[bytes](), 0, 0
+    disk, chance, seen, passed, owed = Disk(), random.Random(seed), set[bytes](), 0, 0
+    forgotten = set() if caches is None else _uncommitted(calls)
     chosen = None if some is None else set(chance.sample(range(len(calls)), some))
     for number, call in enumerate(calls):
         if not disk.take(call) and chosen is None:
@@ -261,9 +266,9 @@ def states(
             owed += number in chosen
             if not owed:
                 continue
-        if call.path.startswith(caches):
-            of_caches += 1
-            if of_caches % OF_CACHES:
+        if number in forgotten or call.path.startswith(caches or ()):
+            passed += 1
+            if passed % ONE_IN:
                 continue
         told = models if chosen is None else (models[len(seen) % len(models)],)
         for model in told:
@@ -276,6 +281,18 @@ def states(
                 seen.add(key.digest())
                 owed -= 1
                 yield f"{model} after call {number} ({call.kind} {call.path})", state, list(disk.marks)
+
+
+def _uncommitted(calls: list[Call]) -> set[int]:
+    """Numbers of the calls that write heads or pages of a frame that does not commit."""
+    found, commits = set[int](), True
+    for number, call in enumerate(calls):
+        if call.kind == "w" and call.path.endswith("-wal"):
+            if len(call.content) == FRAME_HEAD_BYTES:
+                commits = call.content[4:8] != bytes(4)
+            if not commits:
+                found.add(number)
+    return found
 
 
 def write_state(state: State, folder: Path) -> None:
