@@ -155,6 +155,10 @@ class CatalogueLook:
         """Row of the experiment; None: it has not begun."""
         return next(iter(self._rows("experiment", "")), None)
 
+    def events_after(self, last_id: int) -> list[dict[str, Any]]:
+        """Ids, kinds and times of the events behind one, in their order."""
+        return self._ask("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
+
     def set_indices(self) -> set[int]:
         """Return the sets that have rows."""
         return set(self._values("SELECT DISTINCT set_index FROM sets"))

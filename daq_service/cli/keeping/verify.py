@@ -30,10 +30,12 @@ from daq_service.cli.keeping.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError
 from daq_service.orders.audit import AUDIT_FILE
+from daq_service.processes.data_folder import is_owned
+from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
 from daq_service.web.notifications.delivery_log import LOG_FILE
 from hardware_drivers.measurement import PLANNED_SETS, in_order
-from hardware_drivers.nanoseconds import NS_PER_H
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 KINDS = {
     "set_missing": "rows point at a set that is neither a file nor in the journal",
@@ -54,6 +56,8 @@ KINDS = {
 
 TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 """Whose rows belong to a position and a set."""
+MOST_BEHIND_S = 60.0
+"""A history that is further behind was cut off, or could not be written: it follows within a second."""
 BACK = "bring it back from a backup: solimon repair --from BACKUP"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS = {
@@ -151,15 +155,35 @@ def check_experiment(look: Look) -> Iterator[Finding]:
             if own != other:
                 told = f"it tells of {other}, the catalogue of {own}: one is foreign or damaged; {BACK}"
                 yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=told)
+    running = is_owned(look.folder) is not False
     try:
         history = read_history(look.folder)
     except OSError as error:
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=f"it cannot be read: {error}")
         return
     look.checked["lines_of_history"] = history.last_number
-    for line in history.damage:
+    for line in [*history.damage, *_lines_cut_off(look, max(history.events, default=0), running=running)]:
         told = f"{line}; the catalogue has it still: back it up, and keep both"
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
+
+
+def _lines_cut_off(look: Look, last_id: int, *, running: bool) -> Iterator[str]:
+    """Tell of events behind the history's last one that it must know.
+
+    A recorder follows within a second and before it ends. A crash costs no more; the next start writes it.
+    """
+    try:
+        lacking = [] if look.catalogue is None else look.catalogue.events_after(last_id)
+    except CatalogueDamagedError as error:
+        look.unreadable.add(str(error))
+        return
+    if not lacking:
+        return
+    behind_s = (lacking[-1]["wall_utc_ns"] - lacking[0]["wall_utc_ns"]) / NS_PER_S
+    ended = not running and not FAREWELLS.keys().isdisjoint(event["kind"] for event in lacking)
+    if ended or behind_s > MOST_BEHIND_S:
+        first, last = lacking[0]["id"], lacking[-1]["id"]
+        yield f"{HISTORY_FILE} ends before events {first} to {last}, which are {behind_s:.0f} s apart"
 
 
 def check_logs(look: Look) -> Iterator[Finding]:

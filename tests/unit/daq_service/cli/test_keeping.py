@@ -215,6 +215,41 @@ def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, told, write_
     assert remedy in damage["told"]
 
 
+def end_of_history(folder, *, lines):
+    path = folder / "history.jsonl"
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-lines]))
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [lambda folder: end_of_history(folder, lines=4), lambda folder: (folder / "history.jsonl").unlink()],
+    ids=["cut off", "gone"],
+)
+def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_start(folder, harm):
+    harm(folder)
+    code, said = solimon("verify", "--data-dir", folder)
+    assert code == 4
+    (damage,) = said["damage"]
+    assert (damage["kind"], damage["file"]) == ("history", "history.jsonl")
+    assert "history.jsonl ends before events" in damage["told"]
+    assert run(small_settings(), folder)
+    assert kinds(folder) == []
+
+
+@pytest.mark.parametrize(("behind_s", "damage"), [(0.9, []), (61.0, [("history", "history.jsonl", None)])])
+def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behind_s, damage):
+    end_of_history(folder, lines=12)
+    with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
+        last = database.execute("SELECT max(id) FROM events").fetchone()[0]
+        database.execute("DELETE FROM events WHERE id = ?", (last,))  # the farewell
+        database.execute("UPDATE events SET wall_utc_ns = ? + id", (10**18,))
+        database.execute(
+            "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
+        )
+    found = [one for one in kinds(folder) if one[0] != "row"]
+    assert found == damage
+
+
 def test_files_that_are_not_ours_are_noted_and_no_damage(folder):
     (folder / "sets" / "notes.txt").write_text("wet")
     (folder / "sets" / "half.tmp").write_text("half")
