@@ -59,7 +59,8 @@ def stored_settings(values: Mapping[str, Any]) -> Settings:
 
 def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Nested tables under today's names, without keys that went, with what was done before others came."""
-    before = {tuple(key.split(".")): value for key, value in BEFORE.items()}
+    # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
+    before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
     moved = ((_todays(path), value) for path, value in flattened(values).items())
     return nested(before | {path: value for path, value in moved if path})
 

@@ -1,11 +1,14 @@
 """A stored configuration means what today's does, or the keys that differ are named."""
 
 import copy
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from daq_service.settings import stored
+from daq_service.settings.file import load_settings
 from daq_service.settings.stored import SHOWN, differences, renamed, stored_settings
 from daq_service.settings.tree import NoveltySettings, Settings
 
@@ -42,6 +45,16 @@ def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before() -
     assert stored_settings(before).configuration_hash() == by_sets.configuration_hash()
     assert "decides_by" not in by_sets.measured()["alarms"], "what was hashed before there was a choice"
     assert before == unchanged
+
+
+def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({"schedule": {"shots_per_set": 9}}), encoding="utf-8")
+    assert load_settings(file).alarms.decides_by == "chart"
+    before = kept()
+    del before["alarms"]["decides_by"]
+    file.write_text(json.dumps(before), encoding="utf-8")
+    assert load_settings(file).alarms.decides_by == "k_of_n"
 
 
 def test_who_is_told_of_alarms_may_change_from_start_to_start() -> None:
