@@ -31,6 +31,9 @@ from analysis.waves.record_reduction import FloatArray
 CANNOT_TELL = "cannot tell"
 STATED = 0.9
 """Least probability of a cause that is named."""
+WALL_STATED = 0.94
+"""Of a wall that was not named before, since its alarm stays until the transducer is healthy: where contacts
+move much, tails and re-seats that no design knows make it sure of one too often."""
 FEWEST_AVERAGED = 10
 """Sets: the three averages of one or two are copies of each other."""
 MOST_REMEMBERED = 2000
@@ -87,7 +90,8 @@ def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = 
     contact &= not memory.wall
     unsure = (likeliest == COUPLING and not contact) or (memory.wall and likeliest != WALL)
     # Of many healthy sets one may look like a wall; two running, a confirmation counting, hardly ever do.
-    unsure |= likeliest == WALL and not (memory.wall or memory.likely)
+    twice = memory.likely and probabilities[WALL] >= WALL_STATED
+    unsure |= likeliest == WALL and not (memory.wall or twice)
     if moved and likeliest == OK:
         # As it has been since its contact moved, whatever a chart says that knows nothing of that.
         named = likeliest = COUPLING
@@ -123,7 +127,7 @@ def remembering(memory: Recollection, verdict: CauseVerdict) -> Recollection:
     memory = replace(
         memory,
         wall=verdict.cause == WALL or (memory.wall and not healthy),
-        likely=verdict.probabilities[WALL] >= STATED,
+        likely=verdict.probabilities[WALL] >= WALL_STATED,
     )
     return begun_anew(memory, ()) if verdict.returned else memory
 

@@ -28,7 +28,7 @@ from analysis.causes.slopes import (
     TILT,
     WALL_B,
 )
-from analysis.causes.verdict import CANNOT_TELL, STATED, CauseVerdict, remembering, verdict_of
+from analysis.causes.verdict import CANNOT_TELL, STATED, WALL_STATED, CauseVerdict, remembering, verdict_of
 from analysis.errors import InvalidInputError
 from analysis.waves.record_reduction import FloatArray
 
@@ -179,7 +179,7 @@ def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> N
     for index in range(BASELINE, BASELINE + AFTER):
         memory = recollected(memory, design.mean, logs[index], index)
         verdict = verdict_of(memory, design)
-        if verdict.probabilities[WALL] >= STATED:
+        if verdict.probabilities[WALL] >= WALL_STATED:
             break
         memory = remembering(memory, verdict)
     assert verdict.cause == CANNOT_TELL
@@ -190,6 +190,21 @@ def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> N
     assert verdict_of(beside, design).cause == WALL
     healthy_again = remembering(memory, verdict_of(Recollection(), design))
     assert not healthy_again.likely
+
+
+def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
+    design = cause_design(healthy(2)[:BASELINE])
+    course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
+    last = BASELINE + AFTER - 1
+    looked = [
+        Recollection(n=AFTER, index=last, changes=tuple(map(tuple, (part * course).tolist())), likely=True)
+        for part in np.linspace(0.04, 0.06, 200)
+    ]
+    between = [one for one in looked if STATED < verdict_of(one, design).probabilities[WALL] < WALL_STATED]
+    assert between
+    assert {verdict_of(one, design).cause for one in between} == {CANNOT_TELL}
+    assert {verdict_of(replace(one, wall=True), design).cause for one in between} == {WALL}
+    assert not any(remembering(one, verdict_of(one, design)).likely for one in between)
 
 
 def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
