@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from daq_service.archive.table_file import records_image
@@ -65,10 +66,10 @@ def _csv(records: RecordSlice, facts: Facts) -> bytes:
     told = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
     names = [f"set_{index}_shot_{shot}_{quality or 'unknown'}_v" for index, shot, quality in told]
     writer.writerow(["time_s", *names])
-    rows = np.column_stack([records.time_s, records.voltage_v.T]).astype(object)
-    rows[rows != rows] = None  # NaN is an empty cell
-    writer.writerows(rows.tolist())
-    return text.getvalue().encode()
+    rows = np.ascontiguousarray(np.vstack([records.time_s, records.voltage_v]).T)
+    # JSON has every digit, too, and takes a tenth of the time of `csv`; NaN, its null, is an empty cell.
+    cells = orjson.dumps(rows, option=orjson.OPT_SERIALIZE_NUMPY).removeprefix(b"[[").removesuffix(b"]]")
+    return text.getvalue().encode() + cells.replace(b"],[", b"\r\n").replace(b"null", b"") + b"\r\n"
 
 
 def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
