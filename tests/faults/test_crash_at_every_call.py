@@ -139,14 +139,17 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
     caches = CACHES if some is None else None
     for name, state, acknowledged in states(calls, models=models, some=some, caches=caches):
         folder = fast / f"{design} {name.replace('/', '_')}"
-        assert told_of_a_crash(state, acknowledged, folder, whole, settings) == [], name
+        # Where shots are acknowledged by the group, the pages of one go to the disk in any order.
+        holes = design == "simulated" and name.startswith("pages")
+        told = told_of_a_crash(state, acknowledged, folder, whole, settings, with_holes=holes)
+        assert told == [], name
         shutil.rmtree(folder)
         count += 1
     assert count >= (some or 40) - 1
     with capsys.disabled():
         if some != SOME:
-            told = f"{len(calls)} calls, {count} states, {len(whole.counts)} records"
-            print(f"\n{design}, {'/'.join(models)}: {told}")
+            records = len(whole.counts)
+            print(f"\n{design}, {'/'.join(models)}: {len(calls)} calls, {count} states, {records} records")
 
 
 def solimon_record(folder, **environment):
