@@ -106,7 +106,7 @@ class ShotFeatures:
     outline
         The record at some points, beside which other shots' are seen; None without a reflected wave.
     sd
-        Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
+        Standard deviation that the record's own noise gives a feature, by name; empty where nobody
         asked for it.
     """
 
