@@ -26,7 +26,7 @@ from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
 N_PSW = N_ISW + int(LENGTHS[1])
 CAP = 0.95
 """Of the height: what a hard limit there takes from the top."""
-FLAT_SD, FLAT_SCATTER = 2.7, 8.0
+FLAT_SD, FLAT_SCATTER = 3.0, 8.0
 """Standard deviations of noise, and of what scatters from shot to shot on top of it."""
 MAD_OF_FEW = 2.0
 """Times the noise's variance: so much a median distance of ten may show of noise alone."""
@@ -37,7 +37,7 @@ SHIFTS = np.arange(37.5e-6, 91e-6, 7.5e-6) / STEP_S
 """Lengths that may be missing, in steps."""
 ALIGNED = 2 - FROM_PSW
 """Points of the reflected wave, up to 15 us after its top, that say how high it is and when it came."""
-CUT_SD2, CUT_SCATTER2, LEAST_CUT, UNEXPLAINED = 20.0, 80.0, 1e-3, 0.3
+CUT_SD2, CUT_SCATTER2, LEAST_CUT, UNEXPLAINED = 25.0, 80.0, 1e-3, 0.3
 """What a cut must explain of the sum of squares: times the variance of noise and of what scatters on top, of
 the ISW's amplitude squared; and what it may leave of that."""
 ROWS_AT_ONCE = 512

@@ -73,7 +73,7 @@ def test_of_many_walls_only_the_incident_wave_tells_a_limit():
 
 
 def test_noise_bends_no_top():
-    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 2.7 and more are told."""
+    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 3 and more are told."""
     assert judged(clean(40, 40, noise_fraction=0.1)) == [()] * 40
 
 
