@@ -32,6 +32,8 @@ RATE_HZ, PRETRIGGER, SAMPLES = 10e6, 1_000, 13_000
 TIME_S = (np.arange(SAMPLES) - PRETRIGGER) / RATE_HZ
 FWHM_S = 64.7e-6
 LOST_S = 50e-6
+SCALE_OF_90 = 1.702
+"""Scale of tanh, of the wave's height, at which its top keeps .9."""
 OTHERS = {"one": 9, "any": 25}
 """Clean records that a record is compared with."""
 OF_A_SET = 5
@@ -84,6 +86,17 @@ def saturated(scene: Scene) -> FloatArray:
     return scene.noisy(np.minimum(scene.height * scene.wave(scene.isw_s), end))
 
 
+def cut_at_95(scene: Scene) -> FloatArray:
+    """Cut by an amplifier at .95 of the wave; its noise comes after it."""
+    return scene.noisy(np.minimum(scene.height * scene.wave(scene.isw_s), 0.95 * scene.height))
+
+
+def bent_to_90(scene: Scene) -> FloatArray:
+    """Limit softly, as tanh: the top falls to .9 of the wave."""
+    scale = SCALE_OF_90 * scene.height
+    return scene.noisy(scale * np.tanh(scene.height * scene.wave(scene.isw_s) / scale))
+
+
 def second_strike(scene: Scene) -> FloatArray:
     later_s = scene.isw_s + scene.random.uniform(280e-6, 450e-6)
     return scene.clean() + scene.height * scene.random.uniform(0.25, 0.5) * scene.wave(later_s)
@@ -123,7 +136,8 @@ def foreign_on_the_psw(scene: Scene) -> FloatArray:
 
 
 def _lost(scene: Scene) -> slice:
-    first = PRETRIGGER + round((scene.isw_s + scene.random.uniform(-30e-6, 400e-6)) * RATE_HZ)
+    after_s = scene.random.uniform(-30e-6, scene.tof_s + 90e-6)
+    first = PRETRIGGER + round((scene.isw_s + after_s) * RATE_HZ)
     return slice(first, first + round(LOST_S * RATE_HZ))
 
 
@@ -139,6 +153,13 @@ def lost_and_held(scene: Scene) -> FloatArray:
     return volts
 
 
+def lost_and_bridged(scene: Scene) -> FloatArray:
+    """Draw a line between the neighbours."""
+    volts, lost = scene.clean(), _lost(scene)
+    volts[lost] = np.linspace(volts[lost.start], volts[lost.stop], lost.stop - lost.start)
+    return volts
+
+
 def lost_and_closed_up(scene: Scene) -> FloatArray:
     """Move the rest forward; noise follows at the end."""
     volts = np.delete(scene.clean(), _lost(scene))
@@ -150,6 +171,8 @@ CASES: tuple[Callable[[Scene], FloatArray], ...] = (
     hole,
     weak,
     saturated,
+    cut_at_95,
+    bent_to_90,
     second_strike,
     knock,
     foreign_alone,
@@ -158,6 +181,7 @@ CASES: tuple[Callable[[Scene], FloatArray], ...] = (
     foreign_anywhere,
     lost_and_zero,
     lost_and_held,
+    lost_and_bridged,
     lost_and_closed_up,
 )
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from analysis.waves.record_reduction import ReducedRecord, median, moving_mean
+from analysis.waves.record_reduction import FloatArray, ReducedRecord, median, moving_mean
 
 FLAT_TOP_REACH = 0.3
 """Of the width at half height: where the top is compared with its middle, means over a fifth of the width."""
@@ -35,11 +35,12 @@ NOISE_CRESTS = 4.5
 NOISE_STEPS = 5.5
 """The same for the thousand differences between neighbours."""
 FEWEST_ALIKE, SHORTEST_ALIKE_S = 32, 15e-6
-"""Samples in a row of one value: where noise moves more than every second sample, 32 never are by chance."""
+"""Samples in a row on a line: where noise bends more than every second one away, 32 never are by chance."""
 FEWEST_CODES = 1.5
 """By which half of the samples leave the line through their neighbours, as noise of a code makes them; less
 noise leaves quiet stretches on one code."""
-CLOSEST_ALIKE_S = 5e-6
+CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
+"""Between samples looked at first, and by how much those on a line, each rounded, leave it."""
 
 
 def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float) -> bool:
@@ -128,25 +129,32 @@ def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float) -> bool:
     return rise > per_block * LEVEL_BLOCKS + NOISE_STEPS * noise / math.sqrt(0.64 * LEVEL_BLOCKS)
 
 
-def stretch_alike(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:
-    """Find a stretch of one value that noise would have moved: its first and last sample, or None."""
+def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:
+    """Find a straight line, level or not, that noise would have bent: its first and last sample, or None.
+
+    Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
+    """
     samples = record.samples_v
     stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
     coarse = samples[::stride]
-    same = coarse[1:] == coarse[:-1]
-    alike = np.flatnonzero(same[1:] & same[:-1])
-    if not alike.size:
+    rise = coarse[1:] - coarse[:-1]
+    code_v = _smallest_step(rise)
+    near = np.ones(rise.size, dtype=bool)
+    for offset in (stride // 4, stride // 2, 3 * stride // 4):
+        chord = coarse[:-1] + rise * (offset / stride)
+        near &= np.abs(samples[offset::stride][: rise.size] - chord) <= STRAIGHT_CODES * code_v
+    if not (near[1:] & near[:-1]).any():
         return None
     steps = np.diff(samples)
-    code_v = np.abs(steps[steps != 0.0]).min(initial=math.inf)
-    if median(np.abs(np.diff(steps))) < FEWEST_CODES * code_v:
+    code_v = _smallest_step(steps)
+    bends = np.abs(np.diff(steps))
+    if median(bends) < FEWEST_CODES * code_v:
         return None
-    for start in alike.tolist():
-        place = start * stride
-        other = np.flatnonzero(samples[place:] != samples[place])
-        last = place + (int(other[0]) if other.size else samples.size - place) - 1
-        before = np.flatnonzero(samples[:place] != samples[place])
-        first = int(before[-1]) + 1 if before.size else 0
-        if last + 1 - first >= max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz):
-            return first, last
-    return None
+    bent = np.flatnonzero(np.concatenate([[True], bends > 1.01 * code_v, [True]]))
+    longest = int(np.diff(bent).argmax())
+    first, last = int(bent[longest]), int(bent[longest + 1])
+    return (first, last) if last + 1 - first >= max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz) else None
+
+
+def _smallest_step(steps: FloatArray) -> float:
+    return float(np.abs(steps[steps != 0.0]).min(initial=math.inf))

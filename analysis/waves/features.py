@@ -31,7 +31,7 @@ import numpy as np
 from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, stretch_alike
+from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, straight_stretch
 from analysis.waves.fft_length import fast_length, together
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
@@ -50,7 +50,7 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.4"
+EXTRACTOR_VERSION = "1.5"
 """Changes whenever any feature of any record or set would, and so with the flags."""
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7
@@ -106,7 +106,7 @@ class ShotFeatures:
     outline
         The record at some points, beside which other shots' are seen; None without a reflected wave.
     sd
-        Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
+        Standard deviation that the record's own noise gives a feature, by name; empty where nobody
         asked for it.
     """
 
@@ -366,10 +366,11 @@ def _disturbances(
         found.add("clipped")
     if has_edge(record, isw.amplitude_v, settings.isw_fwhm_s):
         found.add(DISTURBED)
-    alike = stretch_alike(record, rate_hz)
-    if alike is not None:
-        level = record.samples_v[alike[0]] - record.offset_v
-        found.add("clipped" if level > 0.4 * isw.amplitude_v else DISTURBED)
+    straight = straight_stretch(record, rate_hz)
+    if straight is not None:
+        line = record.samples_v[straight[0] + 1 : straight[1]]
+        level = bool(line[0] == line[-1]) and line[0] - record.offset_v > 0.4 * isw.amplitude_v
+        found.add("clipped" if level else DISTURBED)
     return found
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.waves.distortion import closed_up, flattened
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
 from analysis.waves.outline import unlike_others
 from analysis.waves.quality_gate import DISTURBED
@@ -111,16 +112,18 @@ def _quantile(ordered: FloatArray, part: float) -> FloatArray:
 
 
 def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Compare shots of one transducer with its own waves, then with one another (`outline.unlike_others`)."""
+    """Compare shots of one transducer with its own waves, then with one another (`outline`, `distortion`)."""
     found = [compared(shot, template) for shot in shots]
     seen = {
         index: shot.outline
         for index, shot in enumerate(found)
         if shot.valid and not shot.compared and shot.outline is not None
     }
-    unlike = unlike_others([*seen.values()], np.array([found[index].tof_mf_s for index in seen]))
-    for index in compress(seen, unlike):
-        found[index] = graded(found[index], {*found[index].flags, DISTURBED})
+    outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
+    foreign = unlike_others(outlines, tofs_s) | closed_up(outlines, tofs_s)
+    for flag, told in ((DISTURBED, foreign), ("clipped", flattened(outlines, tofs_s) & ~foreign)):
+        for index in compress(seen, told):
+            found[index] = graded(found[index], {*found[index].flags, flag})
     return found
 
 

@@ -1,13 +1,13 @@
-"""Standard deviation that a record's own white noise gives each feature, propagated to first order.
+"""Standard deviation that a record's own noise gives each feature, propagated to first order.
 
-With s the noise of a block mean and n blocks in a fit or window:
+With s the noise of a block mean in the band that an estimate takes in (`noise_colour`), n blocks in a window:
 
 - height and time of a top: of the least-squares quartic p(u) on n points, s^2 f^T (X^T X)^-1 f with f the
   powers of u for p, their derivatives for p', and var(u) = var(p') / p''^2;
 - matched time: s^2 |k'|^2 / m''^2, k' the kernel's derivative, m'' the output's curvature at its maximum;
 - time of flight by autocorrelation: s^2 (1/E'_ISW + 1/E'_PSW), the Cramer-Rao bound of a known pulse, E' the
   sum of squares of its slope; coefficient r = a / (1 + a^2): by dr/da, plus what noise adds to R(0);
-- the quiet level, median of q blocks, has pi s^2 / (2 q); it moves heights alike, and areas n times;
+- the quiet level, a median of blocks, moves heights alike, and areas n times;
 - width: noise of both flanks and of the level, over their slope.
 
 Scatter from shot to shot (strike, contact) comes on top; a set's own standard deviation holds both.
@@ -20,19 +20,19 @@ from functools import lru_cache
 
 import numpy as np
 
+from analysis.waves.noise_colour import NoiseColour, noise_colour
 from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design
 from analysis.waves.record_reduction import ExtractionSettings, FloatArray, ReducedRecord, kernel, odd
 
-NOISE_SD = 1.28
-"""Of sigma / sqrt(n): 1.17 for n independent absolute values, more since differences share samples."""
 STANDS_OUT = 20.0
 """Height over its standard deviation, below which a time's is not of first order and is not told."""
 EDGE_OF_FIT = 1.875
 """Weight of the outermost of n points in the height of the quartic's middle, times n; half a flank is in."""
-FLANK_SLOPE = 1.4
-"""Slope at half height times width over height: cos^4 1.47, Gaussian 1.39, sech^2 1.25."""
-ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.246, 1.030
-"""Integrals of a cos^4 pulse of height and width 1: its square, its slope's square, itself."""
+FLANK_SLOPE = 1.36
+"""Slope at half height times width over height: between cos^4 1.47, Gaussian 1.39, sech^2 1.25."""
+ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.06, 1.030
+"""Integrals of a pulse of height and width 1: its square, its slope's (between cos^4 2.25, Gaussian 2.09 and
+sech^2 1.88), itself."""
 
 
 def standard_deviations(
@@ -45,13 +45,12 @@ def standard_deviations(
     values
         Features by name, without those that are not available.
     """
-    noise = record.noise_rms_v
-    found = {"noise_rms_v": NOISE_SD * noise / math.sqrt(record.samples_v.size)}
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
+    noise = noise_colour(record, *((math.nan, math.nan) if isw is None else (isw.time_s, isw.fwhm_s)))
+    found = {"noise_rms_v": noise.rms_sd * record.noise_rms_v}
     if isw is None or "isw_time_s" not in values:
         return found
-    s2 = noise**2 / record.block_samples
-    level2 = 0.5 * math.pi * s2 / record.quiet_blocks
+    s2, level2 = noise.slow2, noise.level2
     times, heights = {}, {}
     for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
         if pulse is not None and pulse.regular:
@@ -60,7 +59,8 @@ def standard_deviations(
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
     if "isw" in heights and isw.fwhm_s > 0.0:
-        flanks = 2.0 * s2 / odd(FLANK_SMOOTHING_S / record.step_s) - 2.0 * EDGE_OF_FIT * s2 / isw.top_points
+        flanks = 2.0 * noise.flank2 / odd(FLANK_SMOOTHING_S / record.step_s)
+        flanks -= 2.0 * EDGE_OF_FIT * s2 / isw.top_points
         slope = FLANK_SLOPE * isw.amplitude_v / isw.fwhm_s
         found["isw_fwhm_s"] = math.sqrt(flanks + heights["isw"] + level2) / slope
     if psw is None:
@@ -82,7 +82,7 @@ def standard_deviations(
         slopes = [SLOPE_ENERGY * one.amplitude_v**2 * record.step_s / one.fwhm_s for one in (isw, psw)]
         found["tof_ac_s"] = record.step_s * math.sqrt(s2 * sum(1.0 / slope for slope in slopes))
         found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient(
-            record, isw, ratio, values["tof_ac_s"] + 2.0 * settings.window_half_width_s, s2, level2
+            record, isw, ratio, values["tof_ac_s"] + 2.0 * settings.window_half_width_s, noise
         )
     return found
 
@@ -120,16 +120,15 @@ def _kernel_slope_energy(width_blocks: float) -> float:
     return float(slopes @ slopes)
 
 
-def _coefficient(
-    record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, s2: float, level2: float
-) -> float:
+def _coefficient(record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour) -> float:
     """Relative standard deviation of the autocorrelation coefficient."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
-    of_ratio = s2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)
+    of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)
     area = AREA * isw.amplitude_v * isw.fwhm_s / record.step_s
-    of_level = level2 * (area * (1.0 + ratio) * (1.0 - ratio) ** 2 / (ratio * both * energy)) ** 2
+    of_level = noise.level2 * (area * (1.0 + ratio) * (1.0 - ratio) ** 2 / (ratio * both * energy)) ** 2
     # R(0) at the full rate: the energy of n samples of noise, less n times its estimated square.
     n, total = gate_s / record.step_s * record.block_samples, energy * both * record.block_samples
-    of_noise = 2.0 * n + (2.0 * n * NOISE_SD) ** 2 / record.samples_v.size
-    return math.sqrt(of_ratio + of_level + of_noise * (record.noise_rms_v**2 / total) ** 2)
+    of_energy = 2.0 * n * noise.memory * noise.sample2**2
+    of_estimate = (2.0 * n * noise.rms_sd * record.noise_rms_v**2) ** 2
+    return math.sqrt(of_ratio + of_level + (of_energy + of_estimate) / total**2)

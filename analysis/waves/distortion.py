@@ -1,0 +1,153 @@
+"""Shots whose wave was changed on its way into the record: tops made lower, samples closed up.
+
+One wall sends back one shape, so both show beside the set's median outline, by the pattern that they leave in
+the difference from it: small ones that no distance between records tells from scatter (`outline`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.waves.outline import (
+    FEWEST,
+    FROM_ISW,
+    FROM_PSW,
+    LENGTHS,
+    N_ISW,
+    ONE_WALL_S,
+    STEP_S,
+    Outline,
+)
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
+
+N_PSW = N_ISW + int(LENGTHS[1])
+CAP = 0.95
+"""Of the height: what a hard limit there takes from the top."""
+FLAT_SD, FLAT_SCATTER = 3.0, 8.0
+"""Standard deviations of noise, and of what scatters from shot to shot on top of it."""
+MAD_OF_FEW = 2.0
+"""Times the noise's variance: so much a median distance of ten may show of noise alone."""
+LOWEST_CAP, LOWEST_BEND = 0.02, 0.015
+"""Of the ISW's amplitude times the root of points: a hard limit at .95 leaves .032, tanh to .95 .027; healthy
+shots of the twin at ``laboratory`` stay below .017 and .05, most of which is their scatter."""
+SHIFTS = np.arange(37.5e-6, 91e-6, 7.5e-6) / STEP_S
+"""Lengths that may be missing, in steps."""
+ALIGNED = 2 - FROM_PSW
+"""Points of the reflected wave, up to 15 us after its top, that say how high it is and when it came."""
+CUT_SD2, CUT_SCATTER2, LEAST_CUT, UNEXPLAINED = 25.0, 80.0, 1e-3, 0.3
+"""What a cut must explain of the sum of squares: times the variance of noise and of what scatters on top, of
+the ISW's amplitude squared; and what it may leave of that."""
+ROWS_AT_ONCE = 512
+
+
+def is_one_wall(tofs_s: FloatArray) -> bool:
+    """Whether eight of ten shots came within `ONE_WALL_S`."""
+    ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
+    return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
+
+
+def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Tell whose top is lower than its flanks say, shape (n,): an amplifier was near its end.
+
+    A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
+    which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
+    """
+    table, sd = _table(outlines)
+    found = np.zeros(len(table), dtype=bool)
+    if len(table) < FEWEST:
+        return found
+    isw = table[:, :N_ISW]
+    middle = _middle(isw)
+    cap = np.clip(middle - CAP, 0.0, None)
+    found |= _lowered(isw, middle, cap, _own_of([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
+    if is_one_wall(tofs_s):
+        both = table[:, :N_PSW]
+        middle = _middle(both)
+        own = _own_of([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
+        found |= _lowered(both, middle, middle**3, own, sd, LOWEST_BEND)
+    return found
+
+
+def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
+    return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
+
+
+def _middle(points: FloatArray) -> FloatArray:
+    """Median of the shots that hold all points; NaN without one."""
+    held = points[np.isfinite(points).all(axis=1)]
+    return np.median(held, axis=0) if len(held) else np.full(points.shape[1], np.nan)
+
+
+def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
+    """Columns by which a sound shot may differ from the middle: arrival of each wave, width of all."""
+    n = sum(wave.size for _, _, wave in waves)
+    columns = np.zeros((n, len(waves) + 1))
+    for k, (begin, first, wave) in enumerate(waves):
+        slope, part = np.gradient(wave), slice(begin, begin + wave.size)
+        columns[part, k] = slope
+        columns[part, -1] = np.arange(first, first + wave.size) * slope
+    return columns
+
+
+def _lowered(
+    points: FloatArray, middle: FloatArray, pattern: FloatArray, own: FloatArray, sd: FloatArray, least: float
+) -> NDArray[np.bool_]:
+    if not (np.isfinite(middle).all() and pattern.any()):
+        return np.zeros(len(points), dtype=bool)
+    basis, _ = np.linalg.qr(np.column_stack([middle, own]))
+    pattern = pattern - basis @ (basis.T @ pattern)
+    lowered = -(points @ pattern) / np.linalg.norm(pattern)
+    known = np.isfinite(lowered)
+    usual = float(np.median(lowered[known]))
+    scatter2 = (MAD_TO_SD * float(np.median(np.abs(lowered[known] - usual)))) ** 2
+    own_scatter2 = max(0.0, scatter2 - MAD_OF_FEW * float(np.median(sd)) ** 2)
+    limit = np.sqrt((FLAT_SD * sd) ** 2 + FLAT_SCATTER**2 * own_scatter2)
+    return np.asarray(known & (lowered - usual > np.maximum(limit, least)))
+
+
+def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Tell which have lost samples after the reflected wave's top, shape (n,).
+
+    What follows came earlier than in the middle of all shots by one length, at once: that must explain most
+    of the difference from it. Only shots of one wall are compared.
+    """
+    n = len(outlines)
+    found = np.zeros(n, dtype=bool)
+    if n < FEWEST or not is_one_wall(tofs_s):
+        return found
+    table, sd = _table(outlines)
+    points = table[:, N_ISW:]
+    middle = _middle(points)
+    if not np.isfinite(middle).all():
+        return found
+    own = np.column_stack([middle, np.gradient(middle)])
+    left = points - middle
+    left -= left[:, :ALIGNED] @ np.linalg.pinv(own[:ALIGNED]).T @ own.T
+    left[np.isnan(left)] = 0.0
+    scatter2 = max(0.0, float(np.median((left**2).mean(axis=1) - sd**2)))
+    for first in range(0, n, ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        found[rows] = _cut(left[rows], middle, sd[rows] ** 2, scatter2)
+    return found
+
+
+def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
+    least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))
+    place = np.arange(middle.size)
+    found = np.zeros(len(left), dtype=bool)
+    for shift in SHIFTS:
+        held = place + shift <= place[-1]
+        earlier = np.where(held, np.interp(place + shift, place, middle) - middle, 0.0)
+        gain = (2.0 * left - earlier) * earlier
+        # Of what lies behind each point; the point itself is a mean of before and after.
+        behind = gain[:, ::-1].cumsum(axis=1)[:, ::-1][:, ALIGNED:]
+        at = left[:, ALIGNED - 1 : -1] ** 2
+        best = behind.argmax(axis=1)[:, None]
+        gained = np.take_along_axis(behind, best, 1)[:, 0]
+        explained = gained + np.take_along_axis(at, best, 1)[:, 0]
+        rest = (left[:, held] ** 2 - noise2[:, None]).sum(axis=1) - explained
+        found |= (gained > least) & (rest < UNEXPLAINED * gained)
+    return found

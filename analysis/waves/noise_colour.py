@@ -1,0 +1,160 @@
+"""Colour of a record's noise: its variance and memory as slow as a wave and as fast as a sample.
+
+Noise that an amplifier or a filter limits in band is like from sample to sample: differences between
+neighbours see little of it, means over a pulse all of it. So its power is read
+
+- for block means from their third differences over the whole record, in which no wave is left (a cos^4 pulse
+  of 65 us leaves 5e-5 of its height at blocks of 1 us);
+- below, from the quiet blocks before the wave: coefficients of cosines, a constant and the wave's exponential
+  foot taken out. A band counts for itself only where its power lies above that of the wider one by more than
+  chance (1 %): a band of few coefficients is uncertain by itself.
+
+Powers are told as the variance of one block mean of white noise with that spectral density.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, ReducedRecord, median
+
+THIRD_DIFFERENCE = math.sqrt(20.0)
+"""Standard deviation of a - 3 b + 3 c - d for white noise of 1."""
+BANDS_HZ = (math.inf, 250e3, 100e3, 40e3)
+"""Of block means: all, down to what a flank (5 us) and the top and the matched filter of a wave take in."""
+FEWEST_COEFFICIENTS = 4
+CHANCE_SD = 2.33
+"""Normal quantile of 99 %."""
+QUIET_BEFORE_PEAK_PER_FWHM = 1.2
+FOOT_RATE = 3.5255
+"""A sech^2 pulse begins as f - f^2 / 2, f = 4 exp(3.5255 t / FWHM)."""
+N_LEVEL = 3
+"""A constant, f and f^2."""
+LONGEST_MEMORY_S, LEAST_MEMORY_SD = 10e-6, 3.0
+MEDIAN_SD, MEDIAN_SQUARE = 1.166, 0.368
+"""Relative standard deviation of a median of n absolute normal values, times sqrt(n); and what a correlation
+rho between two of them adds, over rho^2 (second Hermite coefficient of |x| < median)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseColour:
+    """Variances in V^2.
+
+    Attributes
+    ----------
+    sample2, block2
+        Of a sample and of a block mean.
+    flank2, slow2
+        Of a block mean of white noise as strong as this one below 100 kHz, and below 40 kHz.
+    level2
+        Of the quiet level, the median of the quiet blocks.
+    memory
+        Sum of the squared autocorrelations of samples over all lags; 1: white.
+    rms_sd
+        Relative standard deviation of `ReducedRecord.noise_rms_v`.
+    """
+
+    sample2: float
+    block2: float
+    flank2: float
+    slow2: float
+    level2: float
+    memory: float
+    rms_sd: float
+
+
+def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
+    """Read the colour of a record's noise.
+
+    Parameters
+    ----------
+    isw_time_s, isw_fwhm_s
+        Of the incident wave, before which the record is quiet.
+    """
+    fine2 = (MAD_TO_SD * median(np.abs(np.diff(record.blocks_v, 3))) / THIRD_DIFFERENCE) ** 2
+    before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
+    n = min(record.quiet_blocks, math.floor(before)) if math.isfinite(before) else 0
+    white2 = record.noise_rms_v**2
+    if n < N_LEVEL + FEWEST_COEFFICIENTS:
+        return _coloured(record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5)
+    basis = _quiet_basis(n, round(isw_fwhm_s / record.step_s))
+    found = basis.T @ record.blocks_v[:n]
+    powers2, known2 = found[N_LEVEL:] ** 2, fine2
+    bands = []
+    for upper_hz in BANDS_HZ:
+        inside = min(powers2.size, math.floor(2.0 * n * record.step_s * min(upper_hz, 1e12)))
+        power2 = float(powers2[:inside].sum()) / max(1, inside)
+        if inside >= FEWEST_COEFFICIENTS and power2 > _by_chance(inside) * known2:
+            known2 = power2
+        bands.append(known2)
+    level = basis[:, :N_LEVEL] @ found[:N_LEVEL]
+    x = record.samples_v[: n * record.block_samples] - record.offset_v
+    x -= np.repeat(level, record.block_samples)
+    lags = max(1, min(round(LONGEST_MEMORY_S * record.block_samples / record.step_s), x.size // 4))
+    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _memory(x, lags)
+    if sample2 < _by_chance(x.size / memory) * white2:
+        sample2 = white2
+    return _coloured(record, sample2, bands, level, memory, _memory(np.diff(x), lags) - 1.0)
+
+
+def _coloured(
+    record: ReducedRecord,
+    sample2: float,
+    bands: list[float],
+    level: FloatArray,
+    memory: float,
+    of_differences: float,
+) -> NoiseColour:
+    block2, _, flank2, slow2 = bands
+    return NoiseColour(
+        sample2=sample2,
+        block2=block2,
+        flank2=flank2,
+        slow2=slow2,
+        level2=_of_median(record.quiet_blocks, level, block2, slow2),
+        memory=memory,
+        rms_sd=MEDIAN_SD * math.sqrt((1.0 + MEDIAN_SQUARE * of_differences) / record.samples_v.size),
+    )
+
+
+def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
+    """Variance of the median of n blocks on a level that rises to the wave's foot.
+
+    pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
+    (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
+    """
+    if block2 <= 0.0:
+        return 0.0
+    near = n / level.size * float(np.exp(-0.5 * (level - median(level)) ** 2 / block2).sum())
+    return 0.5 * math.pi * block2 / (near + 0.55) + max(0.0, slow2 - block2) / n
+
+
+def _by_chance(n: float) -> float:
+    """Mean square of n normal values of variance 1 that chance exceeds in 1 % (Wilson and Hilferty)."""
+    third = 2.0 / (9.0 * n)
+    return (1.0 - third + CHANCE_SD * math.sqrt(third)) ** 3
+
+
+@lru_cache(maxsize=256)
+def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
+    """Orthonormal columns, shape (n, n): a constant, two of the wave's foot, cosines of rising frequency."""
+    place = np.arange(n)
+    cosines = np.cos(np.pi * np.outer(place + 0.5, np.arange(1, n - N_LEVEL + 1)) / n)
+    foot = np.exp(FOOT_RATE * (place - n) / fwhm_blocks)
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(n), foot, foot**2, cosines]))
+    basis.flags.writeable = False
+    return np.asarray(basis)
+
+
+def _memory(x: FloatArray, lags: int) -> float:
+    """Sum of squared autocorrelations of a zero-mean sequence over all lags, without what chance gives."""
+    begin = x[: x.size - lags]
+    energy = float(begin @ begin)
+    if energy == 0.0:
+        return 1.0
+    squares = (np.correlate(x, begin, "valid")[1:] / energy) ** 2
+    return 1.0 + 2.0 * float(squares[squares > LEAST_MEMORY_SD**2 / x.size].sum())
