@@ -26,7 +26,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,9 +35,10 @@ from analysis.causes.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.chart import designed, with_memory
 from analysis.statistics.design import next_alarming
+from analysis.statistics.directions import directions_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import guarded_phi, prewhitened
+from analysis.statistics.memory import prewhitened
 from analysis.statistics.mewma import known_limit, mewma
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.waves.features import FEATURE_NAMES
@@ -150,11 +151,11 @@ def otherwise(
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
     budget = run_length(settings)
-    found, designs = guarded_phi(history), designed(history, budget)
+    found, designs = directions_of(history), designed(history, budget)
     charts = {
-        "chart, memory as found": with_memory(history, found, designs.limit),
-        "chart, no memory": with_memory(history, 0.0 * found, designs.limit),
-        "chart, limit of a known baseline": with_memory(history, designs.phi, known_limit(p, budget)),
+        "chart, memory as found": with_memory(history, found.matrix, found.guarded, designs.limit),
+        "chart, no memory": with_memory(history, found.matrix, 0.0 * found.phi, designs.limit),
+        "chart, limit of a known baseline": replace(designs, limit=known_limit(p, budget)),
     }
     rows = [row.set_index - begins for row in judged]
     standing: dict[str, list[bool]] = {}
@@ -163,8 +164,12 @@ def otherwise(
         for value in mewma(chart.whitened(sets)[n:])[np.array(rows) - n].tolist():
             alarming = next_alarming(alarming, value, chart.limit, p)
             standing[name].append(alarming)
-    for name, phi in (("k_of_n, memory as found", found), ("k_of_n, memory of the chart", designs.phi)):
-        freed = prewhitened(sets, designs.mean, phi)
+    along = (sets - designs.mean) @ designs.directions
+    for name, phi in (
+        ("k_of_n, memory as found", found.guarded),
+        ("k_of_n, memory of the chart", designs.phi),
+    ):
+        freed = prewhitened(along, 0.0, phi)
         fitted = fit_baseline(freed[:n][np.isfinite(freed[:n]).all(axis=1)], range(n), name=name)
         state, standing[name] = AlarmState(), []
         for distance in distance_squared(freed, fitted)[rows].tolist():

@@ -25,9 +25,16 @@ CORE = 0.7
 STARTS = 60
 """Random starts; one without a bad set in 30 % has a chance of 12 % at p = 5, none of 60 one of .05 %."""
 CONCENTRATIONS = 4
-NAMED_RATE = 0.15
-"""Chance that sets are named in a healthy baseline, at most: the widened core names about half as often."""
-TREND_RATE = 0.02
+CUT_RATE = 0.025
+"""Part of the healthy sets that a grown core leaves outside."""
+GROWTHS = 10
+FEW_ALIKE, MANY_ALIKE = 3, 5
+"""Sets that make a group: of those that do not fit, and of those that are only not near."""
+NAMED_RATE = 0.02
+"""Chance that a healthy set is named if the core were known; that it was chosen makes it some .04."""
+ALIKE = 0.6
+"""Distance from the middle of a group, in that of the middle from the core."""
+TREND_RATE = 0.015
 """Chance that a trend is named in a healthy baseline."""
 Kind = Literal["outlier", "group", "trend"]
 
@@ -53,11 +60,13 @@ def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
     """Name what stands out of the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
     x = np.asarray(vectors, dtype=np.float64)
     found: list[Named] = []
-    core = grown_core(x)
+    near, core = grown_cores(x)
     outside = np.flatnonzero(~core)
-    if outside.size:
+    if not near.all():
         whitened = _whitened(x, core)
-        alike = _alike(whitened, outside)
+        alike = _alike(whitened, np.flatnonzero(~near), MANY_ALIKE)
+        if not alike.size:
+            alike = _alike(whitened, outside, FEW_ALIKE)
         if alike.size:
             found.append(Named(kind="group", rows=tuple(alike.tolist())))
         found += [Named(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in alike]
@@ -66,22 +75,31 @@ def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
     return tuple(found)
 
 
-def grown_core(x: FloatArray) -> np.ndarray:
-    """Tell which sets fit the rest, shape (n,), True for those that do."""
+def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Tell which sets are as near to the rest as most healthy ones, and which fit it; shape (n,) each.
+
+    The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
+    sets or many features it is known too badly.
+    """
     n, p = x.shape
-    core = _least_determinant(x)
-    limit_rate = NAMED_RATE / n
-    for _ in range(n):
-        m = int(core.sum())
-        inside = scipy.special.chdtri(p, 1.0 - m / n) if m < n else math.inf
-        # The core's covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
-        widened = (m / n) / float(scipy.special.chdtr(p + 2, inside)) if m < n else 1.0
-        distances = (_whitened(x, core) ** 2).sum(axis=1) / widened
-        grown = distances <= f_predictive_limit(m, p, limit_rate)
-        if (grown == core).all() or grown.sum() <= m // 2:
+    core, kept = _least_determinant(x), CORE
+    for _ in range(GROWTHS):
+        near = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, CUT_RATE)
+        if near.sum() <= max(n // 2, p + 1) or (near == core).all():
             break
-        core = grown
-    return core
+        core, kept = near, 1.0 - CUT_RATE
+    fits = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, NAMED_RATE / n)
+    return core, np.asarray(fits)
+
+
+def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
+    """Squared distances from a core that holds the nearest part ``kept`` of healthy sets, shape (n,).
+
+    Its covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
+    """
+    p = x.shape[1]
+    inside = float(scipy.special.chdtr(p + 2, scipy.special.chdtri(p, 1.0 - kept)))
+    return np.asarray((_whitened(x, core) ** 2).sum(axis=1) * inside / kept)
 
 
 def _least_determinant(x: FloatArray) -> np.ndarray:
@@ -112,13 +130,13 @@ def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 
-def _alike(whitened: FloatArray, outside: np.ndarray) -> np.ndarray:
+def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
     """Find those outside that are off alike: nearer to their middle than that is to the core."""
-    if outside.size < 3:
+    if outside.size < fewest:
         return outside[:0]
     middle = np.median(whitened[outside], axis=0)
-    near = np.linalg.norm(whitened[outside] - middle, axis=1) < 0.5 * np.linalg.norm(middle)
-    return outside[near] if near.sum() >= 3 else outside[:0]
+    near = np.linalg.norm(whitened[outside] - middle, axis=1) < ALIKE * np.linalg.norm(middle)
+    return outside[near] if near.sum() >= fewest else outside[:0]
 
 
 def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
@@ -133,11 +151,11 @@ def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
     z = x - x.mean(axis=0)
     slope = t @ z / (t @ t)
     rest = z - t[:, None] * slope
-    covariance = rest.T @ rest / (n - 2)
-    phi = significant(float(corrected(autocorrelation(rest, 1).mean(), n)), n)
     try:
-        size = float(slope @ np.linalg.solve(covariance, slope))
+        root = np.linalg.cholesky(rest.T @ rest / (n - 2))
+        slope, rest = np.linalg.solve(root, slope), np.linalg.solve(root, rest.T).T
     except np.linalg.LinAlgError:  # a feature is a straight line, such as the hour
         return 0.0
-    statistic = size * float(t @ t) * (1.0 - phi) / (1.0 + phi)
+    phi = significant(float(corrected(autocorrelation(rest, 1).mean(), n)), n)
+    statistic = float(slope @ slope) * float(t @ t) * (1.0 - phi) / (1.0 + phi)
     return float(scipy.special.fdtrc(p, n - 1 - p, statistic * (n - 1 - p) / (p * (n - 2))))

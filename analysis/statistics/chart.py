@@ -1,39 +1,33 @@
 """The chart that decides: how a baseline's memory, tails and size make its limit, and when it alarms.
 
-Each set is freed of what it owes to the one before, whitened, cut back to the radius that a healthy set
-passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The limit keeps
-to a budget of false alarms. A short baseline cannot show slow memory: there it is taken to be larger.
+Each set is freed of what it owes to the one before (`directions`), whitened, cut back to the radius that a
+healthy set passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The
+limit keeps to a budget of false alarms. A short baseline cannot show slow memory: there it is taken to be
+larger. Whatever linear mixture of them the features are, the chart is the same.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
-from analysis.statistics.baseline import whitening_matrix
 from analysis.statistics.baseline_check import trend_probability
+from analysis.statistics.directions import Directions, directions_of
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import (
-    LARGEST_PHI,
-    autocorrelation,
-    corrected,
-    guarded_phi,
-    prewhitened,
-    significant,
-)
+from analysis.statistics.memory import LARGEST_PHI, innovation, prewhitened
 from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
 from analysis.waves.record_reduction import FloatArray
 
 CAP_RATE = 0.01
 ENOUGH_SETS = 150
 """Fewer cannot show a memory of tens of sets: no rate is promised, and memory is taken to be larger."""
-WIDENED_BY, LITTLE_WIDENED_BY = 1.64, 0.5
-"""Standard errors of an autocorrelation, sqrt((1 - phi^2)/n), that are added to it: chosen by simulation of
-correlated features of unequal memory, to keep the budget (`benchmarks/false_alarms.py`)."""
+WIDENED_BY, LITTLE_WIDENED_BY = 3.5, 2.0
+"""Standard errors of the memory that are added to it: chosen by simulation of features of unequal memory, to
+keep the budget (`benchmarks/false_alarms.py`)."""
 SLOW_RATE = 0.015
 """Chance that a healthy baseline of independent sets is said to have a trend, or to wander."""
 BLOCKS = 10
@@ -46,11 +40,14 @@ class Chart:
 
     Attributes
     ----------
-    mean, phi
+    mean
         Of the features, shape (p,).
+    directions, phi
+        Along which sets remember, shape (p, p) (`directions.Directions.matrix`), and how much, shape (p,).
     whitening
-        Turns a prewhitened row, shape (p,), into one with covariance 1: row @ whitening. Its columns
-        stand for the features (`distance.contributions`), so that the parts of the statistic are theirs.
+        Turns what is new in a set along the directions, shape (p,), into a row with covariance 1:
+        row @ whitening. Its columns stand for the features (`distance.contributions`), so that the parts of
+        the statistic are theirs.
     cap
         Longest whitened vector that enters the average.
     limit
@@ -58,6 +55,7 @@ class Chart:
     """
 
     mean: FloatArray
+    directions: FloatArray
     phi: FloatArray
     whitening: FloatArray
     cap: float
@@ -65,11 +63,18 @@ class Chart:
 
     def whitened(self, vectors: ArrayLike) -> FloatArray:
         """Give what enters the average, shape (n, p), of sets that begin with the baseline."""
-        return self.entering(prewhitened(vectors, self.mean, self.phi))
+        return self._entering(prewhitened(self._along(vectors), 0.0, self.phi))
 
-    def entering(self, residuals: FloatArray) -> FloatArray:
-        """Whiten prewhitened sets, shape (..., p), and cut them back to the cap."""
-        w = residuals @ self.whitening
+    def whitened_after(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
+        """Give the same of one set, shape (p,), ``distance`` sets after the last complete one."""
+        return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
+
+    def _along(self, vectors: ArrayLike) -> FloatArray:
+        return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
+
+    def _entering(self, new: FloatArray) -> FloatArray:
+        """Whiten what is new in sets, shape (..., p), and cut it back to the cap."""
+        w = new @ self.whitening
         length = np.sqrt((w**2).sum(axis=-1, keepdims=True))
         return np.asarray(w * np.minimum(1.0, self.cap / np.maximum(length, 1e-300)))
 
@@ -110,35 +115,38 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
     baseline
         Shape (n, p); rows with a NaN are gaps and keep their place.
     least_phi
-        Memory of the features that is known from elsewhere; a number, or shape (p,).
+        Memory along the directions, falling, that is known from elsewhere; a number, or shape (p,).
     """
     x = np.asarray(baseline, dtype=np.float64)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
-    phi = np.maximum(widened_phi(guarded_phi(x), n), least_phi)
-    return with_memory(x, phi, estimated_limit(n, p, run_length))
+    found = directions_of(x)
+    phi = np.maximum(widened_phi(found, n), least_phi)
+    return with_memory(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
-def with_memory(baseline: FloatArray, phi: FloatArray, limit: float) -> Chart:
-    """Make a chart of a baseline, shape (n, p), whose memory, shape (p,), and limit are known."""
-    complete = baseline[np.isfinite(baseline).all(axis=1)]
-    n, p = complete.shape
-    mean = complete.mean(axis=0)
-    residuals = prewhitened(baseline, mean, phi)
-    covariance = np.atleast_2d(np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False))
-    sd = np.sqrt(np.diag(covariance))
+def with_memory(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
+    """Make a chart of a baseline, shape (n, p), whose memory and limit are known (see `Chart`)."""
+    complete = np.isfinite(baseline).all(axis=1)
+    n, p = int(complete.sum()), baseline.shape[1]
+    mean = baseline[complete].mean(axis=0)
+    new = prewhitened((baseline - mean) @ directions, 0.0, phi)[complete]
+    root = np.linalg.inv(np.linalg.cholesky(np.atleast_2d(np.cov(new, rowvar=False)))).T
+    # Turned so that features in their SD times the whole is symmetric, as a whitening by features is.
+    left, _, right = np.linalg.svd(baseline[complete].std(axis=0)[:, None] * (directions @ root))
     return Chart(
         mean=mean,
+        directions=directions,
         phi=phi,
-        whitening=whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None],
+        whitening=root @ (left @ right).T,
         cap=math.sqrt(f_predictive_limit(n, p, CAP_RATE)),
         limit=limit,
     )
 
 
-def widened_phi(phi: FloatArray, n: int) -> FloatArray:
+def widened_phi(found: Directions, n: int) -> FloatArray:
     """Return memory somewhat larger than found, more so where the sets are few."""
-    z = WIDENED_BY if n < ENOUGH_SETS else LITTLE_WIDENED_BY
-    return np.asarray(np.minimum(phi + z * np.sqrt((1.0 - phi**2) / n), LARGEST_PHI))
+    errors = WIDENED_BY if n < ENOUGH_SETS else LITTLE_WIDENED_BY
+    return np.asarray(np.minimum(found.guarded + errors * found.error, LARGEST_PHI))
 
 
 def unshown_memory(baseline: ArrayLike) -> str:
@@ -163,13 +171,9 @@ def unshown_memory(baseline: ArrayLike) -> str:
 
 def _by_last_set(baseline: FloatArray) -> FloatArray:
     """Whiten a baseline, freed of the memory that shows from one set to the next and of no other."""
-    complete = np.isfinite(baseline).all(axis=1)
-    n = int(complete.sum())
-    phi = corrected(autocorrelation(baseline, 1), n)
-    phi = np.array([significant(one, n) for one in phi.tolist()])
-    residuals = prewhitened(baseline, baseline[complete].mean(axis=0), phi)
-    covariance = np.atleast_2d(np.cov(residuals[complete], rowvar=False))
-    return np.asarray(residuals @ np.linalg.cholesky(np.linalg.inv(covariance)))
+    found = directions_of(baseline)
+    chart = with_memory(baseline, found.matrix, found.phi, math.inf)
+    return replace(chart, cap=math.inf).whitened(baseline)
 
 
 def wander_probability(whitened: FloatArray) -> float:

@@ -15,7 +15,7 @@ from analysis.statistics.baseline import Baseline
 from analysis.statistics.chart import Chart, designed, unshown_memory
 from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
-from analysis.statistics.memory import effective_sets, innovation, pooled_phi
+from analysis.statistics.memory import effective_sets, pooled_phi
 from analysis.statistics.mewma import WEIGHT
 from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, PREWHITENED, Facts, limits_of
 from analysis.statistics.rules import NOMINAL_RATE
@@ -142,10 +142,9 @@ def next_memory(
     """Judge one more complete set, shape (p,): the statistics by name, and what is remembered of it."""
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
-    new = innovation(vector - chart.mean, before - chart.mean, distance, chart.phi)
     entering = {
         AVERAGE: (vector - baseline.mean) / baseline.sd @ baseline.whitening,
-        CHART: chart.entering(new),
+        CHART: chart.whitened_after(vector, before, distance),
     }
     averages = {
         name: WEIGHT * w + (1.0 - WEIGHT) * np.array(memory.averages[name]) for name, w in entering.items()

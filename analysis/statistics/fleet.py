@@ -9,6 +9,7 @@ the median of their deviations, which some sick sensors do not move.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,8 +17,8 @@ import numpy as np
 import scipy  # `scipy.signal` and `scipy.stats` come when asked for
 from numpy.typing import ArrayLike
 
-from analysis.errors import InvalidInputError
-from analysis.statistics.memory import autocorrelation, corrected
+from analysis.errors import InvalidInputError, SingularCovarianceError
+from analysis.statistics.directions import directions_of
 from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import SMALLEST_SD
@@ -127,18 +128,21 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
 
 
 def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Median over the sensors of each feature's memory from set to set, shape (p,).
+    """Median over the sensors of the memory along their directions, shape (p,), falling.
 
     One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
-    raised first of all.
+    raised first of all. No feature has more memory than the first direction.
 
     Parameters
     ----------
     baselines
         Shape (n, p) each, without what all share; NaN where a value is missing.
     """
-    known = [(x, int(np.isfinite(x).all(axis=1).sum())) for x in baselines]
-    phi = [corrected(autocorrelation(x, 1), n) for x, n in known if n >= MINIMUM_SETS]
+    phi = []
+    for x in baselines:
+        if np.isfinite(x).all(axis=1).sum() >= MINIMUM_SETS:
+            with suppress(SingularCovarianceError):  # this sensor is refused
+                phi.append(directions_of(x).phi)
     return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
 
 

@@ -17,8 +17,6 @@ from analysis.waves.record_reduction import FloatArray
 LARGEST_PHI = 0.95
 SIGNIFICANT = 1.64
 """Times 1/sqrt(n): an autocorrelation of independent sets lies above in 5 %."""
-LAGS = 4
-"""The guard looks this far for memory that a lag of one set hides (slow wander under noise)."""
 
 
 def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
@@ -60,21 +58,6 @@ def pooled_phi(vectors: ArrayLike) -> float:
 def significant(phi: float, n: int) -> float:
     """Return ``phi`` where independent sets would hardly show it, else 0."""
     return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
-
-
-def guarded_phi(vectors: ArrayLike) -> FloatArray:
-    """Memory of each feature, shape (p,), with a guard against memory slower than one lag shows.
-
-    Of lag k the corrected autocorrelation c_jk, 0 where not significant, stands for a memory of c_jk^(1/k).
-    A feature has at least the mean of the three largest of these over the features: a wander is in several.
-    """
-    x = np.asarray(vectors, dtype=np.float64)
-    n = int(np.isfinite(x).all(axis=1).sum())
-    c = np.stack([corrected(autocorrelation(x, lag), n) for lag in range(1, LAGS + 1)])
-    c[c <= SIGNIFICANT / math.sqrt(n)] = 0.0
-    slow = (c ** (1.0 / np.arange(1, LAGS + 1))[:, None]).max(axis=0)
-    common = float(np.sort(slow)[-3:].mean())
-    return np.asarray(np.maximum(c[0], common))
 
 
 def effective_sets(n: int, phi: float) -> float:

@@ -107,7 +107,8 @@ def assess(
     textbooks
         Also run the MCUSUM, which nothing here decides by.
     least_phi
-        Memory of the features that is known from sensors like this one; a number, or one for each.
+        Memory along the directions that is known from sensors like this one (`chart.designed`); a number, or
+        one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = _scaled(np.where(np.isfinite(x), x, np.nan), healthy)
@@ -119,7 +120,7 @@ def assess(
     if not names:
         return Assessed(refused="every feature is constant in the baseline", features_dropped=dropped)
     try:
-        least = np.broadcast_to(least_phi, varies.shape)[varies]
+        least = np.sort(np.broadcast_to(least_phi, varies.shape))[::-1][: len(names)]
         return _judged(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)

@@ -78,7 +78,7 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Usual:
-    """What baselines of the fleet have in common: memory of each feature, and kurtosis."""
+    """What baselines of the fleet have in common: memory along directions, falling, and kurtosis."""
 
     phi: FloatArray
     tails: float

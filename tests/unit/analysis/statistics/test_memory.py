@@ -7,7 +7,6 @@ from analysis.statistics.memory import (
     autocorrelation,
     corrected,
     effective_sets,
-    guarded_phi,
     pooled_phi,
     prewhitened,
     significant,
@@ -50,14 +49,6 @@ def test_corrected_is_clipped_and_small_memory_is_none():
     assert significant(0.2, 48) == 0.0  # 1.64/sqrt(48) = .237
     assert significant(0.3, 48) == 0.3
     assert effective_sets(48, 0.5) == pytest.approx(16.0)
-
-
-def test_the_guard_sees_memory_that_one_lag_hides():
-    wander = remembering(np.random.default_rng(3).standard_normal((1300, 5)), 0.95)
-    x = wander + 2.0 * np.random.default_rng(4).standard_normal((1000, 5))
-    hidden = autocorrelation(x, 1).mean()
-    assert hidden < 0.25  # .95 times the wander's fifth of the variance
-    assert guarded_phi(x).min() > 0.5
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6])

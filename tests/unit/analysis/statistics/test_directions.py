@@ -1,0 +1,52 @@
+"""Memory along directions: of mixtures, of slow wander, and none where there is none."""
+
+import numpy as np
+import pytest
+from support.healthy_sequences import UNEQUAL, remembering
+
+from analysis.statistics.directions import directions_of, phi_of_averages
+from analysis.statistics.memory import pooled_phi
+
+
+def test_directions_of_a_mixture_have_the_memory_that_was_mixed():
+    random = np.random.default_rng(0)
+    x = remembering(random.standard_normal((20_300, 5)), UNEQUAL)
+    found = directions_of(x @ random.standard_normal((5, 5)))
+    # An autocorrelation of 20,000 sets is known to .007.
+    assert found.phi == pytest.approx(sorted(UNEQUAL, reverse=True), abs=0.02)
+    along = (x - x.mean(axis=0)) @ directions_of(x).matrix
+    assert np.cov(along, rowvar=False) == pytest.approx(np.eye(5), abs=1e-3)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6])
+def test_memory_that_all_share_is_found_as_exactly_as_all_of_them_tell(phi):
+    random, found, pooled = np.random.default_rng(1), [], []
+    for _ in range(100):
+        x = remembering(random.standard_normal((500, 5)), phi)
+        found.append(directions_of(x).phi)
+        pooled.append(pooled_phi(x))
+    # Eigenvalues alone would be .32 apart (200 sets, five directions); some baselines keep some of that.
+    assert np.ptp(np.mean(found, axis=0)) < 0.1
+    assert np.mean(found) == pytest.approx(np.mean(pooled), abs=0.02)
+
+
+def test_memory_is_that_of_neighbours_where_sets_are_missing():
+    x = remembering(np.random.default_rng(2).standard_normal((9300, 5)), 0.8)
+    x[2::3] = np.nan
+    # Of 3,000 neighbours; half as much if sets without one counted.
+    assert directions_of(x).phi == pytest.approx(np.full(5, 0.8), abs=0.05)
+
+
+def test_the_guard_sees_memory_that_one_lag_hides():
+    wander = remembering(np.random.default_rng(3).standard_normal((1300, 5)), 0.95)
+    x = wander + 2.0 * np.random.default_rng(4).standard_normal((1000, 5))
+    found = directions_of(x)
+    assert found.phi.max() < 0.3  # .95 times the wander's fifth of the variance
+    assert found.guarded.min() > 0.5
+
+
+def test_phi_of_averages_is_that_of_first_order_memory():
+    lags = np.arange(1, 200)
+    # Of so many sets that their mean is known.
+    assert phi_of_averages(0.6**lags, 10**6) == pytest.approx(0.6, abs=1e-3)
+    assert phi_of_averages(np.full(20, 0.01), 100) == 0.0
