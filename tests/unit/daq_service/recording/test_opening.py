@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from support.begun_experiment import begun_catalogue, tell
 
 from daq_service.alarms.states import Moment
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.processes.data_folder import own_data_folder
@@ -101,10 +102,6 @@ def test_a_rig_that_opens_says_nothing_of_the_alarm_of_a_set(opener: Opener) -> 
     opener.stop.set()
     opener.open(1)
     (row,) = opener.alarms
-    from dataclasses import replace
-
-    from daq_service.catalogue import SetCommit
-
     opener.catalogue.commit_set(SetCommit(alarms=[replace(row, proof={"set_index": 3, "error": "x"})]))
     opener.stop.clear()
     opener.open(0)
