@@ -182,6 +182,8 @@ def _poor_sets(proof: Proof) -> Iterator[str]:
 def _rig(proof: Proof) -> Iterator[str]:
     if told := _known(proof, "set_index", "error"):
         yield f"In set {told[0]} the instruments' driver raised {told[1]}."
+    elif told := _known(proof, "error"):
+        yield f"When the rig was to be opened, the instruments' driver raised {told[0]}."
 
 
 def _data(proof: Proof) -> Iterator[str]:

@@ -8,7 +8,7 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import MissedShot
 from daq_service.alarms.states import Condition
 from daq_service.archive import MissedRecord
-from hardware_drivers.errors import BusyError, ConnectionLostError
+from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 
 PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 """What may be over by the next set: a board that is busy or gone may be free or back by then."""
@@ -54,4 +54,17 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
         present=bool(trouble or unanswered),
         message=f"set {due.set_index} {happened}: {message}; {outlook}",
         proof={"set_index": due.set_index, "error": error},
+    )
+
+
+def opening_condition(trouble: InstrumentError | None) -> Condition:
+    """Alarm while a test that has begun waits for its rig to open; its proof names no set."""
+    return Condition(
+        position=None,
+        kind="rig_unavailable",
+        family="device",
+        severity="high",
+        present=trouble is not None,
+        message=f"the rig cannot be opened: {trouble}; the recorder tries again until it can",
+        proof={"error": type(trouble).__name__},
     )

@@ -180,6 +180,9 @@ class Telling:
         words = f"ALARM, {severity}" if stands else change.replace("_", " ")
         self._say(f"hour {hour:.1f}, {words}: {message}", style="bold red" if stands else "")
 
+    def _hear_waits(self, *, why: str) -> None:
+        self._say(f"waiting: {why}", style="yellow")
+
     def _hear_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
     ) -> None:

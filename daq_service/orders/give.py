@@ -106,7 +106,13 @@ def give_order(
 
 def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
     told = catalogue.last_told(*TELLING)
-    if not look_at_recorder(folder, [told.kind] if told else []).listens:
+    recorder = look_at_recorder(folder, [told.kind] if told else [])
+    if recorder.word == "running" and not recorder.listens:
+        raise BusyError(
+            f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing "
+            "strikes, and it hears no orders before its rig is open; give the order again then, or stop it"
+        )
+    if not recorder.listens:
         raise BusyError(
             f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
             "`solimon run` or `solimon record`, then give the order again"

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.shared_file import O_BINARY, read_hint
@@ -39,6 +39,10 @@ NEWS_AFTER_COSTS = 100
 a simulated test of many stages a second beats take a hundredth of the time."""
 
 
+Stage = Literal["", "opening", "ended"]
+"""Of a recorder: at work, opening its rig (it hears no orders yet), or past its farewell, be it lingering."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beat:
     """What the file says.
@@ -50,6 +54,8 @@ class Beat:
     utc_ns, elapsed_ns
         A moment of a test in real time: its time, and what had elapsed of the boot, sleep included. None on
         a simulated clock, while time is doubted, and in the file of an older version.
+    stage
+        Tells a recorder that starts from one that leaves: the newest event of both is the same.
     """
 
     process: int
@@ -59,6 +65,7 @@ class Beat:
     boot: str | None = None
     utc_ns: int | None = None
     elapsed_ns: int | None = None
+    stage: Stage = ""
 
 
 class Heartbeat:
@@ -72,6 +79,11 @@ class Heartbeat:
         Called with the name of the event, ``beat``, and the values of a `Beat`.
     time_line
         The test's time at this moment; None where there is none to be told.
+
+    Attributes
+    ----------
+    stage
+        Told with every beat from now on.
     """
 
     def __init__(
@@ -84,6 +96,7 @@ class Heartbeat:
         boot: Callable[[], str | None] = boot_name,
         time_line: Callable[[], TimeLine | None] = lambda: None,
     ) -> None:
+        self.stage: Stage = ""
         self._path = folder / FILE_NAME
         self._deadline_s = deadline_s
         self._tell = tell
@@ -113,6 +126,7 @@ class Heartbeat:
             boot=self._boot,
             utc_ns=None if line is None else line.utc_ns,
             elapsed_ns=None if line is None else line.elapsed_ns,
+            stage=self.stage,
         )
         self._tell("beat", **asdict(beat))
         try:
@@ -183,6 +197,7 @@ def beat_of(values: Mapping[str, Any]) -> Beat:
         boot=values.get("boot"),
         utc_ns=_whole(values.get("utc_ns")),
         elapsed_ns=_whole(values.get("elapsed_ns")),
+        stage=values.get("stage", ""),
     )
 
 

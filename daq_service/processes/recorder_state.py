@@ -30,12 +30,12 @@ class RecorderState:
     Attributes
     ----------
     word
-        "finished" or "stopped" where it said so itself, else "running", "silent" (past its deadline, or gone
-        without a word) or "absent" (never ran).
+        "running", also where it waits for its rig; "finished" or "stopped" where that was its last word;
+        else "silent" (past its deadline, or gone without a word) or "absent" (never ran).
     description
         The same for a person, with what it is doing.
     listens
-        It is alive and takes orders: also after its last set, while it lingers.
+        It is alive and takes orders: also after its last set, while it lingers; not before its rig is open.
     beat
         Its last sign of life; None where there is none.
     beat_age_s
@@ -54,7 +54,8 @@ def recorder_state(
 ) -> RecorderState:
     """Judge by what the recorder told last, by the folder's lock, and by its heartbeat.
 
-    The lock alone says whether one runs; the heartbeat, a hint, what it is doing and whether it moves.
+    The lock alone says whether one runs; the heartbeat, a hint, what it is doing and whether it moves. A
+    farewell is the last word of the recorder that said it: one that runs and has not said so is another.
 
     Parameters
     ----------
@@ -70,20 +71,26 @@ def recorder_state(
     late = beat is not None and age is not None and age > beat.deadline_s
     runs = owned if owned is not None else beat is not None and age is not None and not late
     in_time = runs and not late
-    word: Word = "running" if in_time else "absent" if beat is None and not runs else "silent"
-    word, description = FAREWELLS.get(told) or (word, _description(beat, age, runs=runs, late=late))
+    ended = beat is not None and age is not None and beat.stage == "ended"
+    word: Word = "running" if in_time else "absent" if beat is None and not (runs or told) else "silent"
+    description = _description(beat, age, runs=runs, late=late, began=bool(told))
+    if told in FAREWELLS and (ended or not in_time):
+        word, description = FAREWELLS[told]
     return RecorderState(
         word=word,
         description=description,
-        listens=in_time and word != "stopped",
+        listens=in_time and word != "stopped" and (age is None or beat is None or beat.stage != "opening"),
         beat=beat,
         beat_age_s=age,
     )
 
 
-def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool) -> str:
+def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool, began: bool) -> str:
+    if beat is None and runs:
+        return "running; its heartbeat cannot be read"
     if beat is None:
-        return "running; its heartbeat cannot be read" if runs else "never started here"
+        gone = "not running: it left without a word, and its heartbeat cannot be read"
+        return gone if began else "never started here"
     if runs and not late:
         return "running, starting" if age is None else f"running, {beat.doing}"
     if age is None:

@@ -44,6 +44,7 @@ from daq_service.recording.experiment import foreign_because, refuse_foreign, re
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.machine import MACHINE_READ
+from daq_service.recording.opening import Opening
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
 from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
@@ -166,8 +167,14 @@ class Recorder:
         self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
         rig.asking.listen(self._asked)
 
-    def run(self, *, not_running_because: str) -> bool:
-        """Take every set that is still due; False when told to stop."""
+    def run(self, *, not_running_because: str, opening: Opening | None = None) -> bool:
+        """Take every set that is still due; False when told to stop.
+
+        Parameters
+        ----------
+        opening
+            What this recorder did before, while other sets may have fallen due.
+        """
         done = self._catalogue.committed_sets()
         started = {
             "rig": self._rig.kind,
@@ -181,7 +188,7 @@ class Recorder:
         self._kept.say("recorder_started", started)
         self._set_damaged_aside()
         self._tell("begun")
-        absences = self._wait_for_a_set_clock(not_running_because)
+        absences = self._wait_for_a_set_clock(not_running_because, opening)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 self._newest = due
@@ -207,6 +214,9 @@ class Recorder:
         supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
+        self._heartbeat.stage = "ended"
+        self._doing = "leaving"
+        self._heartbeat.beat(self._doing_now(), at_once=True)
         self._kept.say("schedule_done" if finished else stopped, farewell)
         if finished:
             self._kept.wait_for_the_disk(self._idle)
@@ -585,7 +595,9 @@ class Recorder:
 
     # A clock that cannot be believed, or is set ---------------------------------------------------
 
-    def _wait_for_a_set_clock(self, not_running_because: str) -> list[tuple[int, str]]:
+    def _wait_for_a_set_clock(
+        self, not_running_because: str, opening: Opening | None
+    ) -> list[tuple[int, str]]:
         """Let time stand still while it is doubted; why sets were missed until when (ns of UTC), in order."""
         clock, reasons = self._rig.clock, list[str]()
         if not isinstance(clock, WallClock):
@@ -608,7 +620,11 @@ class Recorder:
             self._kept.say(CLOCK_BELIEVED, asdict(believed))
         self._tell_of_the_clock("")
         now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
-        return [(now_ns - (clock.mono_ns() - began_ns), not_running_because), (now_ns, waited)]
+        offset_ns = now_ns - clock.mono_ns()
+        opened = [(offset_ns + began_ns, not_running_because)]
+        if opening is not None:
+            opened = [(offset_ns + opening.since_mono_ns, not_running_because), (opened[0][0], opening.told)]
+        return [*opened, (now_ns, waited)]
 
     def _tell_of_the_clock(self, doubt: str) -> None:
         self._kept.do(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import threading
 import time
@@ -15,6 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, SetReference
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
@@ -24,17 +24,19 @@ from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
-from daq_service.errors import BusyError, RigError
 from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
 from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.recorder_state import FAREWELLS, TELLING
 from daq_service.processes.worker import one_worker
+from daq_service.recording.backlog import PASSING
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.machine import MachineWatch
+from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
 from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
@@ -42,14 +44,11 @@ from daq_service.recording.safekeeping import Helpers
 from daq_service.recording.tiling import Tiling
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
-from hardware_drivers.errors import BusyError as InstrumentBusyError
-from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
 
-WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
-BEAT_EVERY_S = 0.2
 NOTED_AT_ONCE = 100
 """Files that a start reads: more than a crash leaves, and done long before a heartbeat is missed."""
 
@@ -80,7 +79,8 @@ def record(
     ----------
     tell
         Called with the name of an event and its values: ``beat``, ``begun`` (the first set is waited for or
-        taken), ``progress``, ``alarm``, ``gap``, ``finished``.
+        taken), ``progress``, ``alarm``, ``gap``, ``finished``,
+        ``waits`` (for the rig, whose alarm stands).
     linger
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
     left_alone
@@ -110,12 +110,12 @@ def record(
     StorageError, RigError
         What cannot be mended here; every taken shot is stored.
     """
-    last_beat = read_heartbeat(folder)
-    cause = _why_not_running(last_beat, restarted_because)
+    began_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
     deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
     made_again = _made_again(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=tell))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
+        cause = _why_not_running(catalogue, last_beat, restarted_because)
         epoch_ns = _experiment_epoch(catalogue, settings)
         keep_experiment(folder, catalogue.experiment_row())
         if made_again:
@@ -151,15 +151,23 @@ def record(
             clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
-        rig = _open_patiently(
+
+        def moment() -> Moment:
+            now_ns = clock.utc_ns()
+            return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)
+
+        since_mono_ns = clock.mono_ns() - (time.monotonic_ns() - began_ns)
+        rig, did = open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.rows(SetRow, limit=1)),
             restarted=bool(restarted_because),
             heartbeat=heartbeat,
             stop=stop,
             waits_s=waits_for_rig_s,
+            alarm=OpeningAlarm(catalogue, history, moment, tell),
         )
         if rig is None:
+            _take_leave(catalogue, history, heartbeat, moment(), left_alone)
             return False
         compaction = Compaction(
             folder,
@@ -211,7 +219,9 @@ def record(
             remote_drive=remote_drive,
         )
         stack.callback(recorder.leave)
-        finished = recorder.run(not_running_because=cause)
+        finished = recorder.run(
+            not_running_because=cause, opening=Opening(since_mono_ns=since_mono_ns, told=did)
+        )
         if finished:
             tell("finished")
             if linger:
@@ -252,49 +262,6 @@ def longest_call_s(settings: Settings) -> float:
     return max(rig.read_timeout_s, longest_s, order_s)
 
 
-def _open_patiently(
-    open_once: Callable[[], Rig],
-    *,
-    resuming: bool,
-    restarted: bool,
-    heartbeat: Heartbeat,
-    stop: threading.Event,
-    waits_s: Sequence[float],
-) -> Rig | None:
-    """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
-
-    A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
-    weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
-    again, nobody stands beside the rig: then whatever the instruments say is waited for.
-
-    Returns
-    -------
-    Rig or None
-        None if ``stop`` came first.
-
-    Raises
-    ------
-    RigError, BusyError
-        What waiting cannot mend, or the rig of a test that has not begun.
-    """
-    for wait_s in itertools.chain(waits_s, itertools.repeat(waits_s[-1])):
-        heartbeat.beat("opening the rig")
-        try:
-            return open_once()
-        except InstrumentError as error:
-            may_pass = restarted or isinstance(error, InstrumentBusyError | ConnectionLostError)
-            if not (resuming and may_pass):
-                kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
-                raise kind(f"the rig cannot be opened: {error}") from error
-            log.warning("the rig cannot be opened, next try in %g s: %s", wait_s, error)
-            again_s = time.monotonic() + wait_s
-            while time.monotonic() < again_s:
-                heartbeat.beat(f"waiting for the rig: {error}")
-                if stop.wait(min(BEAT_EVERY_S, wait_s)):
-                    return None
-    raise AssertionError("the waits never end")
-
-
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
     with suppress(NoDataYetError):
@@ -323,9 +290,36 @@ def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
 
 
-def _why_not_running(beat: Beat | None, restarted_because: str) -> str:
+def _take_leave(
+    catalogue: RecorderCatalogue,
+    history: HistoryFollower,
+    heartbeat: Heartbeat,
+    moment: Moment,
+    left_alone: threading.Event | None,
+) -> None:
+    """Say that a recorder was stopped before its rig could be opened."""
+    heartbeat.stage = "ended"
+    heartbeat.beat("leaving", at_once=True)
+    alone = left_alone is not None and left_alone.is_set()
+    kind = "recorder_left_alone" if alone else "recorder_stopped"
+    try:
+        catalogue.add_event(utc_ns=moment.utc_ns, topic="service", kind=kind, payload={})
+        history.follow(now=True)
+    except PASSING as error:
+        log.warning("the stop is not stored: %s", error)
+
+
+def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restarted_because: str) -> str:
+    """Why nobody recorded until now, as far as the supervisor, the catalogue or the heartbeat know."""
     if restarted_because:
         return f"the recorder {restarted_because}"
-    if beat is None:
-        return "the recorder had not been started"
-    return f"the recorder was down; it was last seen {beat.doing}"
+    told = catalogue.last_told(*TELLING)
+    if told is not None and told.kind in FAREWELLS and (beat is None or beat.stage == "ended"):
+        return f"the recorder was {FAREWELLS[told.kind][1].partition(';')[0]}"
+    if beat is not None:
+        return f"the recorder was down; it was last seen {beat.doing}"
+    if told is None:
+        return "the recorder was starting"
+    seen_ns = max(told.utc_ns, catalogue.last_ended_utc_ns() or told.utc_ns)
+    seen_h = (seen_ns - catalogue.experiment_row().epoch_utc_ns) / NS_PER_H
+    return f"the recorder was down; it was last seen at hour {seen_h:.2f}"

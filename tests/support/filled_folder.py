@@ -32,6 +32,7 @@ from daq_service.judgement.confirmation import CONFIRMATION_ASKED, STEP, Confirm
 from daq_service.judgement.transaction import Transaction, payload_of, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
+from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
@@ -115,6 +116,10 @@ class FilledFolder:
         Heartbeat(self.folder, deadline_s=3600.0, time_line=lambda: line).beat(doing)
 
     def say(self, kind: str, utc_ns: int | None = None, **payload: object) -> int:
+        if kind in FAREWELLS:
+            heartbeat = Heartbeat(self.folder, deadline_s=3600.0)
+            heartbeat.stage = "ended"
+            heartbeat.beat("leaving")
         return self.catalogue.add_event(
             utc_ns=utc_ns or self.epoch_ns, topic="service", kind=kind, payload=payload
         )

@@ -34,7 +34,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch
-from daq_service.processes.heartbeat import Heartbeat
+from daq_service.processes.heartbeat import Heartbeat, Stage
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.machine import MachineWatch
@@ -160,9 +160,10 @@ class QuietHeartbeat:
 
     def __init__(self) -> None:
         self.told: list[str] = []
+        self.stage: Stage = ""
         self.at_the_first: Callable[[], None] = lambda: None
 
-    def beat(self, doing: str) -> None:
+    def beat(self, doing: str, *, at_once: bool = False) -> None:
         self.told.append(doing)
         act, self.at_the_first = self.at_the_first, lambda: None
         act()

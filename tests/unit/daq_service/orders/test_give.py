@@ -14,7 +14,13 @@ from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import BusyError, UsageError
 from daq_service.orders.give import give_order
 from daq_service.processes.data_folder import own_data_folder
-from daq_service.processes.heartbeat import FILE_NAME, Heartbeat
+from daq_service.processes.heartbeat import FILE_NAME, Heartbeat, Stage
+
+
+def beat(folder: Path, stage: Stage = "") -> None:
+    heartbeat = Heartbeat(folder, deadline_s=3600.0)
+    heartbeat.stage = stage
+    heartbeat.beat("waiting")
 
 
 class Recorder:
@@ -26,7 +32,7 @@ class Recorder:
         self.answer = ("done", "")
         self.seen: list[tuple[str, str, dict[str, Any]]] = []
         tell(catalogue, "recorder_started")
-        Heartbeat(folder, deadline_s=3600.0).beat("waiting")
+        beat(folder)
 
     def look(self, seconds: float) -> None:
         for row in self.catalogue.open_commands():
@@ -150,6 +156,7 @@ def power_cut(recorder: Recorder) -> None:
 
 def stopped(recorder: Recorder) -> None:
     tell(recorder.catalogue, "recorder_stopped")
+    beat(recorder.folder, "ended")
 
 
 def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> None:
@@ -167,9 +174,23 @@ def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable
     assert recorder.catalogue.open_commands() == []
 
 
-@pytest.mark.parametrize("told", [["schedule_done"], ["recorder_stopped", "recorder_started"]])
-def test_a_recorder_that_lingers_or_was_started_again_listens(recorder: Recorder, told: list[str]) -> None:
+@pytest.mark.parametrize("told", ["schedule_done", "recorder_stopped"])
+def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, told: str) -> None:
+    tell(recorder.catalogue, told)
+    beat(recorder.folder, "opening")
+    with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
+        recorder.given("hold", note="why")
+    assert recorder.catalogue.open_commands() == []
+
+
+@pytest.mark.parametrize(
+    ("told", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
+)
+def test_a_recorder_that_lingers_or_was_started_again_listens(
+    recorder: Recorder, told: list[str], stage: Stage
+) -> None:
     tell(recorder.catalogue, *told)
+    beat(recorder.folder, stage)
     assert recorder.given("hold", note="why") == 0
     assert len(recorder.seen) == 1
 

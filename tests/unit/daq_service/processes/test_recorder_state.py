@@ -14,7 +14,7 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.errors import BusyError
 from daq_service.orders.give import give_order
-from daq_service.processes.heartbeat import FILE_NAME, Beat
+from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage
 from daq_service.processes.recorder_state import Word, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
@@ -24,13 +24,15 @@ from hardware_drivers.nanoseconds import NS_PER_S
 BOOT, NOW_NS = "this boot", 1000 * NS_PER_S
 
 
-def beat(age_s: float, *, boot: str | None = BOOT) -> Beat:
-    return Beat(
-        process=1, mono_ns=NOW_NS - round(age_s * NS_PER_S), deadline_s=65.0, doing="waiting", boot=boot
-    )
+def beat(age_s: float, *, boot: str | None = BOOT, stage: Stage = "") -> Beat:
+    mono_ns = NOW_NS - round(age_s * NS_PER_S)
+    return Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing="waiting", boot=boot, stage=stage)
 
 
 REBOOTED = "not running: this computer was started again since it was last seen waiting"
+
+
+GONE = "not running: it left without a word, and its heartbeat cannot be read"
 
 
 LATE = "last sign of life 66 s ago while waiting"
@@ -44,12 +46,10 @@ LATE = "last sign of life 66 s ago while waiting"
         (True, beat(66.0), "silent", f"not answering: {LATE}"),
         (True, None, "running", "running; its heartbeat cannot be read"),
         (True, beat(1.0, boot="another boot"), "running", "running, starting"),
-        (False, None, "absent", "never started here"),
         (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
         (False, beat(66.0), "silent", f"not running: {LATE}"),
         (False, beat(1.0, boot="another boot"), "silent", REBOOTED),
         # Nobody can tell who holds the lock: the heartbeat decides.
-        (None, None, "absent", "never started here"),
         (None, beat(65.0), "running", "running, waiting"),
         (None, beat(66.0), "silent", f"not running: {LATE}"),
         (None, beat(1.0, boot="another boot"), "silent", REBOOTED),
@@ -71,6 +71,38 @@ def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
     assert state.beat is found
 
 
+@pytest.mark.parametrize("owned", [False, None])
+@pytest.mark.parametrize(
+    ("kinds", "word", "description"),
+    [
+        ([], "absent", "never started here"),
+        (["recorder_started"], "silent", GONE),
+        (["recorder_stopped", "recorder_started", "set_done"], "silent", GONE),
+    ],
+)
+def test_without_a_heartbeat_the_catalogue_tells_whether_anybody_ever_recorded(
+    owned: bool | None, kinds: list[str], word: Word, description: str
+) -> None:
+    state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
+    assert (state.word, state.description, state.listens) == (word, description, False)
+
+
+@pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
+def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
+    """The lock says that somebody runs, and whoever runs has not said farewell: it waits for its rig, say."""
+
+    def state(found: Beat | None) -> tuple[Word, str, bool]:
+        told = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
+        return told.word, told.description, told.listens
+
+    assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
+    assert state(beat(1.0)) == ("running", "running, waiting", True)
+    assert state(None) == ("running", "running; its heartbeat cannot be read", True)
+    # The last beat of the recorder of an earlier boot is none of the one that has the lock now.
+    after = state(beat(1.0, stage="ended", boot="another boot"))
+    assert after == ("running", "running, starting", True)
+
+
 @pytest.mark.parametrize(
     ("kinds", "word", "listens"),
     [
@@ -83,12 +115,14 @@ def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
 def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
     kinds: list[str], word: Word, listens: bool
 ) -> None:
-    state = recorder_state(beat(1.0), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    left = beat(1.0, stage="ended")
+    state = recorder_state(left, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.word, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
-    assert not recorder_state(beat(66.0), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS).listens
-    assert not recorder_state(beat(1.0), kinds, owned=False, boot=BOOT, mono_ns=NOW_NS).listens
+    late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    gone = recorder_state(left, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
+    assert [(one.word, one.listens) for one in (late, gone)] == [(word, False)] * 2
 
 
 def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
@@ -164,7 +198,7 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     if left is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(left(), encoding="utf-8")
-    assert describe_status(folder, Settings())["recorder"] in (REBOOTED, "never started here")
+    assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
             give_order(
@@ -174,5 +208,5 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     health = json.loads(bytes(get_health(context).body))
     context.catalogue_access.close()
     assert health["recorder"]["state"] == health["as_of"]["recorder"]
-    assert health["recorder"]["state"] in ("silent", "absent")
+    assert health["recorder"]["state"] == "silent"
     assert health["recorder"]["beat_age_s"] is None

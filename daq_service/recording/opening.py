@@ -1,0 +1,143 @@
+"""Open the rig: a test that has begun waits for one that is busy or gone, and says so."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from daq_service.alarms.rig_trouble import opening_condition
+from daq_service.alarms.states import Change, Condition, Moment, update
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.errors import BusyError, RigError
+from daq_service.judgement.transaction import Transaction
+from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.backlog import PASSING
+from hardware_drivers.errors import BusyError as InstrumentBusyError
+from hardware_drivers.errors import ConnectionLostError, InstrumentError
+from hardware_drivers.instruments import Rig
+
+log = logging.getLogger(__name__)
+
+WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+BEAT_EVERY_S = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opening:
+    """What a recorder did before it took up the schedule.
+
+    Attributes
+    ----------
+    since_mono_ns
+        When it was started, on its clock's elapsed time.
+    told
+        Why it took no set meanwhile.
+    """
+
+    since_mono_ns: int
+    told: str
+
+
+class OpeningAlarm:
+    """Raises ``rig_unavailable`` while the rig cannot be opened, and clears what it raised.
+
+    One that a set has raised is left to the next set: that the rig opens does not say that it answers.
+    """
+
+    def __init__(
+        self,
+        catalogue: RecorderCatalogue,
+        history: HistoryFollower,
+        moment: Callable[[], Moment],
+        tell: Callable[..., None],
+    ) -> None:
+        self._catalogue, self._history = catalogue, history
+        self._moment, self._tell = moment, tell
+        self._told = False
+
+    def carry(self, trouble: InstrumentError | None) -> None:
+        """Tell what stands in the way, None: nothing any more; the alarm as far as the disk takes it."""
+        condition, moment = opening_condition(trouble), self._moment()
+        try:
+            change = self._carried(condition, moment)
+        except PASSING as error:
+            log.warning("the alarm is not stored, the next try does it: %s", error)
+            change = None
+        if change is not None:
+            row, kind = change.row, change.event_kind
+            self._tell("alarm", change=kind, hour=moment.due_h, severity=row.severity, message=row.message)
+        elif condition.present and not self._told:
+            self._tell("waits", why=condition.message)
+        self._told = condition.present
+
+    def _carried(self, condition: Condition, moment: Moment) -> Change | None:
+        rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
+        row = rows[-1] if rows else None
+        if not condition.present and row is not None and row.proof.get("set_index") is not None:
+            return None
+        change = update(row, condition, moment)
+        if change is not None:
+            transaction = Transaction()
+            transaction.add_alarm(change, moment)
+            self._catalogue.commit_set(transaction)
+            self._history.follow(now=True)
+        return change
+
+
+def open_patiently(
+    open_once: Callable[[], Rig],
+    *,
+    resuming: bool,
+    restarted: bool,
+    heartbeat: Heartbeat,
+    stop: threading.Event,
+    waits_s: Sequence[float],
+    alarm: OpeningAlarm,
+) -> tuple[Rig | None, str]:
+    """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
+
+    A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
+    weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
+    again, nobody stands beside the rig: then whatever the instruments say is waited for.
+
+    Returns
+    -------
+    Rig or None
+        None if ``stop`` came first.
+    str
+        What the recorder did meanwhile.
+
+    Raises
+    ------
+    RigError, BusyError
+        What waiting cannot mend, or the rig of a test that has not begun.
+    """
+    did, heartbeat.stage = "the recorder was opening the rig", "opening"
+    for wait_s in itertools.chain(waits_s, itertools.repeat(waits_s[-1])):
+        heartbeat.beat("opening the rig")
+        try:
+            rig = open_once()
+        except InstrumentError as error:
+            may_pass = restarted or isinstance(error, InstrumentBusyError | ConnectionLostError)
+            if not (resuming and may_pass):
+                kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
+                raise kind(f"the rig cannot be opened: {error}") from error
+            log.warning("the rig cannot be opened, next try in %g s: %s", wait_s, error)
+            did = f"the recorder waited for the rig: {error}"
+            alarm.carry(error)
+            again_s = time.monotonic() + wait_s
+            while time.monotonic() < again_s:
+                heartbeat.beat(f"waiting for the rig: {error}")
+                if stop.wait(min(BEAT_EVERY_S, wait_s)):
+                    return None, did
+        else:
+            heartbeat.stage = ""
+            alarm.carry(None)
+            return rig, did
+    raise AssertionError("the waits never end")

@@ -1,0 +1,149 @@
+"""A recorder that waits for its rig runs, and an alarm says so; what is told of why none ran before."""
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.begun_experiment import begun_catalogue, tell
+
+from daq_service.alarms.states import Moment
+from daq_service.catalogue import RecorderCatalogue, SetCommit
+from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.heartbeat import Beat, Heartbeat
+from daq_service.processes.recorder_state import look_at_recorder
+from daq_service.recording.opening import OpeningAlarm, open_patiently
+from daq_service.recording.session import _take_leave, _why_not_running
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.nanoseconds import NS_PER_H
+
+GONE = ConnectionLostError("the chassis is gone; switch it on")
+MOMENT = Moment(utc_ns=2 * NS_PER_H, due_h=2.0, set_index=None)
+WHY = f"the rig cannot be opened: {GONE}; the recorder tries again until it can"
+
+
+class Opener:
+    """A recorder that finds its rig gone so often, and what it tells."""
+
+    def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
+        self.folder, self.catalogue = folder, catalogue
+        self.told: list[tuple[str, str]] = []
+        self.heartbeat = Heartbeat(folder, deadline_s=60.0)
+        self.stop = threading.Event()
+
+    def hear(self, event: str, **values: Any) -> None:
+        self.told.append((event, values.get("why") or values["change"]))
+
+    def open(self, refusals: int, look: Callable[[], None] = lambda: None) -> tuple[Any, str]:
+        left = [GONE] * refusals
+
+        def open_once() -> Any:
+            look()
+            if left:
+                raise left.pop()
+            return "the rig"
+
+        history = HistoryFollower(self.folder, self.catalogue)
+        alarm = OpeningAlarm(self.catalogue, history, lambda: MOMENT, self.hear)
+        return open_patiently(
+            open_once,
+            resuming=True,
+            restarted=False,
+            heartbeat=self.heartbeat,
+            stop=self.stop,
+            waits_s=(0.01,),
+            alarm=alarm,
+        )
+
+    @property
+    def alarms(self) -> list[AlarmRow]:
+        return self.catalogue.rows(AlarmRow, kind="rig_unavailable")
+
+
+@pytest.fixture
+def opener(tmp_path: Path) -> Iterator[Opener]:
+    with begun_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
+        tell(catalogue, "recorder_started", "recorder_stopped")
+        yield Opener(tmp_path, catalogue)
+
+
+def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opener: Opener) -> None:
+    seen: list[tuple[str, bool, int]] = []
+
+    def look() -> None:
+        state = look_at_recorder(opener.folder, ["recorder_stopped"])
+        seen.append((state.word, state.listens, len(opener.alarms)))
+
+    rig, did = opener.open(3, look)
+    assert (rig, did) == ("the rig", f"the recorder waited for the rig: {GONE}")
+    assert seen == [("running", False, 0), *[("running", False, 1)] * 3]
+    (row,) = opener.alarms
+    assert (row.message, row.proof) == (WHY, {"error": "ConnectionLostError"})
+    assert row.state == "returned_unacknowledged"
+    assert opener.told == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
+    assert opener.heartbeat.stage == ""
+
+
+def test_an_alarm_that_stands_is_not_raised_again_but_told(opener: Opener) -> None:
+    opener.stop.set()
+    assert opener.open(9) == (None, f"the recorder waited for the rig: {GONE}")
+    opener.stop.clear()
+    opener.told.clear()
+    opener.open(2)
+    assert opener.told == [("waits", WHY), ("alarm", "alarm_cleared")]
+    assert len(opener.alarms) == 1
+
+
+def test_a_rig_that_opens_says_nothing_of_the_alarm_of_a_set(opener: Opener) -> None:
+    opener.stop.set()
+    opener.open(1)
+    (row,) = opener.alarms
+    opener.catalogue.commit_set(SetCommit(alarms=[replace(row, proof={"set_index": 3, "error": "x"})]))
+    opener.stop.clear()
+    opener.open(0)
+    assert [row.state for row in opener.alarms] == ["unacknowledged"]
+
+
+def beat(stage: Any, doing: str = "taking set 1") -> Beat:
+    return Beat(process=1, mono_ns=0, deadline_s=65.0, doing=doing, stage=stage)
+
+
+STOPPED = "the recorder was stopped by its operator"
+
+
+@pytest.mark.parametrize(
+    ("kinds", "found", "cause"),
+    [
+        (["recorder_started", "recorder_stopped"], beat("ended"), STOPPED),
+        (["recorder_started", "recorder_stopped"], None, STOPPED),
+        (["recorder_stopped"], beat("opening", "opening the rig"), "down; it was last seen opening the rig"),
+        (["recorder_started"], beat(""), "the recorder was down; it was last seen taking set 1"),
+        (["recorder_started"], None, "the recorder was down; it was last seen at hour 0.00"),
+        ([], None, "the recorder was starting"),
+    ],
+)
+def test_the_cause_of_missed_sets_is_what_is_known(
+    tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
+) -> None:
+    with begun_catalogue(tmp_path) as catalogue:
+        tell(catalogue, *kinds)
+        assert cause in _why_not_running(catalogue, found, "")
+        assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
+
+
+def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
+    tell(opener.catalogue, "recorder_started")
+    _take_leave(
+        opener.catalogue,
+        HistoryFollower(opener.folder, opener.catalogue),
+        opener.heartbeat,
+        MOMENT,
+        None,
+    )
+    told = opener.catalogue.last_told("recorder_started", "recorder_stopped")
+    assert told is not None
+    assert look_at_recorder(opener.folder, [told.kind]).word == "stopped"
