@@ -46,7 +46,10 @@ class StorageError(SolimonError):
 
 
 class StorageUnavailableError(StorageError):
-    """The disk refuses now: full, gone, failing, locked by another program; later it may not."""
+    """The disk refuses now: full, gone, failing, locked by another program; later it may not.
+
+    The message names what helps, not what follows: a running test goes on by itself.
+    """
 
 
 class TriedAgainError(StorageUnavailableError):

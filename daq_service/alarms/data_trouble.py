@@ -76,5 +76,6 @@ def storage_condition(message: str, *, present: bool, waits_in: str = "memory") 
         family="device",
         severity="high",
         present=present,
-        message=f"the disk refuses, what is taken waits in the {waits_in}: {message}",
+        message=f"the disk refuses, what is taken waits in the {waits_in} and is stored by itself once it "
+        f"takes data again: {message}",
     )

@@ -271,6 +271,4 @@ def move_aside(folder: Path, reference: SetReference) -> str:
 
 def _refused(path: Path, error: OSError) -> ArchiveWriteError:
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
-    return ArchiveWriteError(
-        f"{path} cannot be written: {error.strerror or error}; {remedy}, then start again"
-    )
+    return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

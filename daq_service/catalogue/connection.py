@@ -158,16 +158,12 @@ def _translate(path: Path, doing: str, error: BaseException | None) -> Catalogue
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     told = f"{path}: {doing} failed: {error}"
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return CatalogueBusyError(
-            f"{told} for {BUSY_TIMEOUT_S:g} s; end the program that holds it and try again"
-        )
+        return CatalogueBusyError(f"{told} for {BUSY_TIMEOUT_S:g} s; end the program that holds it")
     # Our queries are always the same: what they ask for is gone, or is no text, in a damaged file only.
     if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, 0):
         return CatalogueDamagedError(f"{told}; {REMEDY}")
     if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return CatalogueWriteError(
-            f"{told}; nothing of it was stored: free or mend the disk, then start again"
-        )
+        return CatalogueWriteError(f"{told}; nothing of it was stored: free or mend the disk")
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
         return CatalogueWriteError(f"{told}; give this user the right to write the folder")
     if code == sqlite3.SQLITE_CONSTRAINT:

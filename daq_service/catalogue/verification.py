@@ -163,6 +163,13 @@ class CatalogueLook:
         """Return the sets that have rows."""
         return set(self._values("SELECT DISTINCT set_index FROM sets"))
 
+    def files(self) -> dict[int, str]:
+        """Files that rows point at, by set index in order."""
+        rows = self._ask(
+            "SELECT DISTINCT set_index, file FROM sets WHERE file IS NOT NULL ORDER BY set_index"
+        )
+        return {row["set_index"]: row["file"] for row in rows}
+
     @cached_property
     def _positions(self) -> list[str]:
         return self._values("SELECT DISTINCT position FROM sets")

@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from daq_service.errors import EXIT_FAULT, EXIT_INTERRUPTED, SolimonError
+from daq_service.errors import EXIT_FAULT, EXIT_INTERRUPTED, SolimonError, StorageUnavailableError
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -679,6 +679,8 @@ def main() -> None:
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         _end("interrupted", EXIT_INTERRUPTED)
+    except StorageUnavailableError as error:
+        _end(f"{error}, then start again", error.exit_code)
     except SolimonError as error:
         _end(str(error), error.exit_code)
     except Exception as error:  # noqa: BLE001 - the end of the line: whatever it is has a code and one line

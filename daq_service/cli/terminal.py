@@ -202,7 +202,8 @@ class Telling:
     def _end_gap(self) -> None:
         if self._gap is not None and self._gap[2] > self._gap[1]:
             what, first, last = self._gap
-            self._say(f"sets {first + 1} to {last} too {what}", style="yellow")
+            others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"
+            self._say(f"{others}, too, {what}", style="yellow")
         self._gap = None
 
 

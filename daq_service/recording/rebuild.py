@@ -22,11 +22,12 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     SchemaVersionError,
 )
-from daq_service.catalogue.experiment_file import HISTORY_FILE, keep_experiment, refuse_another
-from daq_service.catalogue.history import History, HistoryFollower, read_history
+from daq_service.catalogue.experiment_file import keep_experiment, refuse_another
+from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, salvaged
 from daq_service.judgement.results import results_in
+from daq_service.processes.lost_catalogue import history_of
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
 from daq_service.recording.tiling import tiles_again
@@ -89,7 +90,7 @@ def rebuild(
         It cannot be made again, and why.
     """
     archive = FolderSetReader(folder)
-    history, kept = _history(folder), _catalogue(folder)
+    history, kept = history_of(folder), _catalogue(folder)
     experiment = kept_experiment(folder, history, archive)
     if kept.experiment is not None:
         if experiment is not None:
@@ -118,7 +119,7 @@ def rebuild(
         name = _replace(folder, place)
     except OSError as error:
         raise CatalogueWriteError(
-            f"{folder}: the catalogue cannot be made again: {error}; free or mend the disk, then try again"
+            f"{folder}: the catalogue cannot be made again: {error}; free or mend the disk"
         ) from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
@@ -131,28 +132,6 @@ def rebuild(
         kept=name,
         warnings=_warnings(history, kept, found, not_tiled),
     )
-
-
-def lost_catalogue(folder: Path) -> bool:
-    """Tell whether a test was begun here whose catalogue is gone, or empty."""
-    path = folder / FILE_NAME
-    if path.is_file() and path.stat().st_size > 0:
-        try:
-            with open_catalogue(folder):
-                return False
-        except NoDataYetError:
-            log.debug("%s has no experiment yet", path)
-        except CatalogueError:
-            return False  # whoever opens it to write says what is wrong with it
-    archive = FolderSetReader(folder)
-    return kept_experiment(folder, _history(folder), archive) is not None or bool(archive.sets())
-
-
-def _history(folder: Path) -> History:
-    try:
-        return read_history(folder)
-    except OSError as error:
-        raise CatalogueError(f"{folder / HISTORY_FILE} cannot be read: {error}; mend the disk") from error
 
 
 def _catalogue(folder: Path) -> Salvaged:

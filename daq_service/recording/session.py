@@ -28,6 +28,7 @@ from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
+from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, TELLING
 from daq_service.processes.worker import one_worker
@@ -37,7 +38,7 @@ from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.machine import MachineWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
-from daq_service.recording.rebuild import lost_catalogue, rebuild
+from daq_service.recording.rebuild import rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.recording.safekeeping import Helpers

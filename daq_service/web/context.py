@@ -21,9 +21,10 @@ from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogu
 from daq_service.errors import StorageError
 from daq_service.orders.audit import Audit
 from daq_service.processes import freshness
+from daq_service.processes.lost_catalogue import lost_because
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
-from daq_service.web.answers.problem import Problem, no_data_yet, not_found
+from daq_service.web.answers.problem import Problem, catalogue_lost, no_data_yet, not_found
 from daq_service.web.doors.entry import Doors
 from daq_service.web.notifications.service import Notifications
 from daq_service.web.streams.hub import EventHub
@@ -143,10 +144,12 @@ class Context:
             self.catalogue_access.close()
 
     def catalogue(self) -> Catalogue:
-        """Open catalogue, or the problem "no data yet" before the first set."""
+        """Open catalogue, or the problem "no data yet" before the first set, or that it is lost."""
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
+            if told := lost_because(self.data_folder):
+                raise catalogue_lost(told) from None
             raise no_data_yet() from None
         if not self._has_data:
             if not catalogue.rows(SetRow, limit=1):

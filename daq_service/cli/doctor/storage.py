@@ -15,12 +15,15 @@ from daq_service.archive import FolderSetReader
 from daq_service.catalogue import check_owner, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
 from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.owner import refuse_other_experiment
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.processes.disk_policy import disk_space
+from daq_service.processes.lost_catalogue import history_of, lost_because, lost_catalogue
 from daq_service.processes.lost_sets import lost_sets
+from daq_service.recording.experiment import kept_experiment
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
 
@@ -73,6 +76,7 @@ def storage_checks(settings: Settings, folder: Path) -> list[Check]:
         _place(folder),
         _writable(folder),
         _owner(settings, folder),
+        *_catalogue(folder),
         *_stored(folder),
         _space(settings, folder),
     ]
@@ -141,6 +145,10 @@ def _owner(settings: Settings, folder: Path) -> Check:
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
+        if lost_catalogue(folder):  # then the sets say whose they are
+            kept = kept_experiment(folder, history_of(folder), FolderSetReader(folder))
+            if kept is not None:
+                refuse_other_experiment(kept, folder, settings)
     except StorageError as error:
         return _cannot(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
     return Check(
@@ -149,6 +157,16 @@ def _owner(settings: Settings, folder: Path) -> Check:
         found=f"free for this configuration ({own_hash[:12]})",
         values={"configuration_hash": own_hash},
     )
+
+
+def _catalogue(folder: Path) -> list[Check]:
+    """Look whether a begun test still has its catalogue; an unreadable one `_owner` tells of."""
+    try:
+        told = lost_because(folder)
+    except StorageError:
+        return []
+    remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"
+    return [_cannot("data folder: catalogue", told, remedy)] if told else []
 
 
 def _stored(folder: Path) -> list[Check]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.archive.journal.frames import frames
-from daq_service.archive.journal.reader import contents, segment_path, segments
+from daq_service.archive.journal.reader import contents, read_journal, segment_path, segments
 from daq_service.archive.records import (
     JOURNAL_FOLDER,
     QUARANTINE_FOLDER,
@@ -29,7 +29,7 @@ from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import CatalogueLook
-from daq_service.cli.keeping.verify import BACK, Finding, expected_sha256
+from daq_service.cli.keeping.verify import BACK, NOWHERE, Finding, expected_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
 from daq_service.processes.disk_policy import RESERVE_FILE
@@ -79,7 +79,7 @@ class Copied:
     present
         Files of sets that were there already.
     damage
-        Files that are damaged in the folder itself: they lie in the backup's quarantine.
+        Files that are damaged in the folder itself: they lie in the backup's quarantine. Sets that are lost.
     """
 
     files: int = 0
@@ -112,6 +112,7 @@ def back_up(
             _sync(snapshot)
             kept = {path.name for path in _copy_journal(folder, destination, copied)}
             _copy_sets(folder, destination, catalogue, copied, progress)
+            copied.damage += _lost(folder, destination, catalogue, copied)
             _copy_others(folder, destination, copied)
             for suffix in ("-wal", "-shm"):  # of somebody who wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
@@ -126,7 +127,7 @@ def back_up(
             remove_quietly(snapshot)
             raise StorageUnavailableError(
                 f"the backup is not whole: {error}; what is copied stays, and the one before it still opens: "
-                "free or mend the disk and start the backup again"
+                "free or mend the disk"
             ) from error
     return copied
 
@@ -210,6 +211,24 @@ def _copy_sets(
             target.parent.mkdir(exist_ok=True)
         _write(target, read_shared(source), copied)
     progress(len(files), len(files))
+
+
+def _lost(folder: Path, destination: Path, catalogue: CatalogueLook, copied: Copied) -> list[Finding]:
+    """Name the sets that rows point at and that are neither a file nor in the journal.
+
+    Files first, in one listing: only for those that are not among them the journal is read.
+    """
+    named = {finding.file for finding in copied.damage}
+    files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
+    gone = {file: index for index, file in catalogue.files().items() if file not in files}
+    journal = read_journal(destination) if gone else {}
+    kept = {item.reference for item in journal.values()}
+    return [
+        Finding(kind="set_missing", file=file, shot_id=None, told=f"{NOWHERE}; {BACK}")
+        for file in gone
+        # A set may have left the journal for a file between the two looks.
+        if file not in kept and not (folder / file).exists()
+    ]
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:

@@ -73,7 +73,7 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
 
 
 def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
-    """Copy a folder; 4 where a file in it is damaged."""
+    """Copy a folder; 4 where a file in it is damaged, or a set is lost."""
     _give_way(data_dir)
     copied = back_up(data_dir, destination, _progress("files"))
     if as_json:

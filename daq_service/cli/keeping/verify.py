@@ -58,6 +58,7 @@ TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 """Whose rows belong to a position and a set."""
 MOST_BEHIND_S = 60.0
 """A history that is further behind was cut off, or could not be written: it follows within a second."""
+NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 BACK = "bring it back from a backup: solimon repair --from BACKUP"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS = {
@@ -312,7 +313,7 @@ def check_references(look: Look) -> Iterator[Finding]:
         journaled = look.journal.sets.get(index)
         for file in sorted(files):
             if not (look.folder / file).exists() and (journaled is None or journaled.reference != file):
-                told = f"rows point at it, but it is neither a file nor in the journal; {BACK}"
+                told = f"{NOWHERE}; {BACK}"
                 yield Finding(kind="set_missing", file=file, shot_id=None, told=told)
     for told in sorted(look.unreadable):
         remedy = f"bring it back from a backup, or {MADE_AGAIN}"

@@ -16,6 +16,7 @@ from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, CommandRow, SetRow, VerdictRow, values
 from daq_service.corrosion_drive.kept import described, look_at_drive
+from daq_service.errors import StorageError
 from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
 from daq_service.judgement.restored import thickness_interval_m
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
@@ -23,6 +24,7 @@ from daq_service.orders.deadline import as_it_stands, left_now_s
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.lost_catalogue import lost_because
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
@@ -38,7 +40,13 @@ GAPS_A_POSITION = 5
 
 
 def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
-    """Read recorder, counts, gaps, orders, disk, supply, and the last word on each position."""
+    """Read recorder, counts, gaps, orders, disk, supply, and the last word on each position.
+
+    Raises
+    ------
+    StorageError
+        The catalogue is lost, or cannot be read.
+    """
     drive = look_at_drive(folder)
     supply = None if drive is None else {**asdict(drive), "description": described(drive)}
     try:
@@ -78,6 +86,8 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 ],
             }
     except NoDataYetError:
+        if told := lost_because(folder):
+            raise StorageError(told) from None
         recorder = look_at_recorder(folder, [])
         told_ns = time_now_ns(recorder.beat)
         nothing = dict.fromkeys(
@@ -184,10 +194,9 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
 
 def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
     """Newest sets that lack something: which, at which positions, and why."""
-    found: dict[tuple[int, str | None], dict[str, Any]] = {}
+    found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
         gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
-        found.setdefault((row.set_index, row.cause), {**gap, "positions": []})["positions"].append(
-            row.position
-        )
+        key = (row.set_index, row.state, row.cause)
+        found.setdefault(key, {**gap, "positions": []})["positions"].append(row.position)
     return [found[key] for key in sorted(found, key=lambda key: key[0])][-GAPS_A_POSITION:]

@@ -85,7 +85,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
         number = counts["sets"] + counts["missed_sets"]
         yield "awaited", f"set {number}, due at hour {facts['next_due_h']:g}, {when}", ""
     missed = counts["missed_sets"]
-    partial = f", {counts['partial_sets']} partial" if counts["partial_sets"] else ""
+    partial = f", {counts['partial_sets']} partial (some strikes lack)" if counts["partial_sets"] else ""
     yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
     yield "confirm", _confirmations(facts["confirmations"]), ""
     for told in _gaps(facts["gaps"]):
@@ -128,8 +128,12 @@ def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     ):
         alike = list(some)
         first, last = alike[0], alike[-1]
-        sets = f"set {first['set_index']}" if first is last else f"{len(alike)} sets to {last['set_index']}"
-        yield f"{sets} {state} at {where}, hour {last['due_h']:g}: {cause}"
+        names = (
+            f"set {first['set_index']}"
+            if first is last
+            else f"{len(alike)} sets, {first['set_index']} to {last['set_index']},"
+        )
+        yield f"{names} {state} at {where}, hour {last['due_h']:g}: {cause}"
 
 
 def told_of_the_disk(disk: Mapping[str, Any]) -> str:

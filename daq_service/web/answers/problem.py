@@ -80,6 +80,17 @@ def no_data_yet() -> Problem:
     )
 
 
+def catalogue_lost(detail: str) -> Problem:
+    """Say that what was recorded cannot be shown until its catalogue is made again."""
+    return Problem(
+        503,
+        "catalogue-lost",
+        "The catalogue is lost",
+        f"{detail[0].upper()}{detail[1:]}.",
+        "The sets are kept in their files; the page comes back by itself when the catalogue does.",
+    )
+
+
 def not_found(what: str, hint: str) -> Problem:
     """Say that there is no such thing."""
     return Problem(404, "not-found", "Not found", what, hint)

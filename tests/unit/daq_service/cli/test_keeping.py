@@ -32,6 +32,7 @@ from daq_service.judgement.results import results_in
 from daq_service.orders.audit import Audit
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
+from daq_service.recording.rebuild import rebuild
 from daq_service.web.notifications.delivery_log import Delivery, DeliveryLog
 
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
@@ -525,6 +526,18 @@ def test_a_damaged_file_never_replaces_a_good_copy_and_lies_in_the_quarantine_of
     assert [path.name for path in (new / "quarantine").iterdir()] == [Path(FILES[0]).name]
 
 
+def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
+    (folder / FILES[0]).write_bytes(b"")
+    for index in (1, 2):
+        (folder / FILES[index]).unlink()
+    copy = tmp_path / "copy"
+    code, said = solimon("backup", copy, "--data-dir", folder)
+    assert (code, said["ok"]) == (4, False)
+    told = [(item["kind"], item["file"]) for item in said["damage"]]
+    assert told == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
+    assert kinds(copy) == [("set_missing", FILES[index], None) for index in range(3)]
+
+
 def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     record = FolderSetReader(folder).read_set(FILES[2])
     (folder / FILES[2]).unlink()
@@ -560,6 +573,22 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
         assert set(lost_sets(folder, catalogue)) == set(FILES.values())
     assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
     assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
+
+
+@pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])
+def test_a_lost_catalogue_is_told_by_status_and_by_the_web_service(folder, left):
+    settings, _ = settings_of_folder(None, folder)
+    for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
+        (folder / name).unlink()
+    remedy = f"`solimon rebuild --data-dir {folder}` makes it again"
+    code, said = solimon("status", "--data-dir", folder)
+    assert (code, remedy in said, "is lost" in said) == (4, True, True)
+    with served(settings, folder) as service, service.client() as api:
+        answer = api.get("/readyz")
+        assert (answer.status_code, answer.json()["type"]) == (503, "urn:solimon:problem:catalogue-lost")
+        assert remedy in answer.json()["detail"]
+        rebuild(folder)
+        assert api.get("/readyz").status_code == 200
 
 
 def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(folder):

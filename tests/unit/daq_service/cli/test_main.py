@@ -58,7 +58,7 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
     again = solimon_here(command, "--data-dir", str(tmp_path), "--restarted-because", "crashed", env={})
     assert (by_hand.returncode, again.returncode) == (4, 1)
     assert again.returncode not in FINAL_CODES
-    assert str(error) in by_hand.stderr
+    assert f"{error}, then start again" in by_hand.stderr
     assert str(error) in again.stderr
 
 

@@ -34,8 +34,8 @@ def filled(tmp_path: Path) -> Iterator[FilledFolder]:
     folder.close()
 
 
-def missed(filled: FilledFolder, index: int, cause: str, *positions: str) -> None:
-    """Rows of a set that was not taken."""
+def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed") -> None:
+    """Rows of a set that was not taken, or not as a whole."""
     due = filled.due[index]
     commit = SetCommit()
     for name in positions or filled.settings.positions:
@@ -46,7 +46,7 @@ def missed(filled: FilledFolder, index: int, cause: str, *positions: str) -> Non
                 method=filled.settings.positions[name].method,
                 due_utc_ns=due.due_utc_ns,
                 due_h=due.due_h,
-                state="missed",
+                state=state,
                 cause=cause,
                 n_planned=1,
             )
@@ -127,9 +127,10 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
     for index in range(SETS, SETS + 3):
         missed(filled, index, "held by ann")
     missed(filled, SETS + 3, "no trigger", "D")
+    hour = f"hour {filled.due[SETS + 2].due_h:g}"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert lines == [
-        f"gap  3 sets to {SETS + 2} missed at A, B, C, D, hour {filled.due[SETS + 2].due_h:g}: held by ann",
+        f"gap  3 sets, {SETS} to {SETS + 2}, missed at A, B, C, D, {hour}: held by ann",
         f"gap  set {SETS + 3} missed at D, hour {filled.due[SETS + 3].due_h:g}: no trigger",
     ]
     for index in range(SETS + 4, SETS + 14):
@@ -224,6 +225,14 @@ def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: P
     assert facts["positions"]["A"]["thickness_interval_m"] is None
     assert f" {1e3 * wall_m:.2f} mm  " in line_of(told(facts), " A")
     assert its_set.file in facts["lost"]
+
+
+def test_a_position_that_has_a_part_of_a_set_is_not_told_to_have_missed_it(filled: FilledFolder) -> None:
+    missed(filled, SETS, "a stop", "B", state="partial")
+    missed(filled, SETS, "a stop", "C", "D")
+    at = f"hour {filled.due[SETS].due_h:g}: a stop"
+    lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
+    assert sorted(lines) == [f"gap  set {SETS} missed at C, D, {at}", f"gap  set {SETS} partial at B, {at}"]
 
 
 def test_colour_is_for_terminals_without_no_color(

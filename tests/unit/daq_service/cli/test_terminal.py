@@ -89,7 +89,7 @@ def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
     assert lines(capsys) == [
         "set 3 missed at A, B: held by ann: door open",
         "hour 2.0, set 4 of 100",
-        "sets 4 to 5 too missed at A, B: held by ann: door open",
+        "sets 4 to 5, too, missed at A, B: held by ann: door open",
         "set 9 missed at A, B: held by ann: door open",
         "set 10 missed at A, B: the computer slept",
     ]

@@ -21,8 +21,9 @@ from daq_service.catalogue.experiment_file import (
 )
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.judgement.results import results_in
+from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.recording.experiment import foreign_because
-from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
+from daq_service.recording.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import ShotKey
 
 

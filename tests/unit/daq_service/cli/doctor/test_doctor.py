@@ -310,6 +310,20 @@ def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Pa
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
+def test_a_lost_catalogue_is_told_and_the_sets_say_whose_they_are(tmp_path: Path) -> None:
+    settings = small_settings(schedule={"end_h": 1.0})
+    assert run(settings, tmp_path)
+    for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
+        (tmp_path / name).unlink()
+    own = by_name(storage_checks(settings, tmp_path))
+    assert own["data folder: configuration"].state == "ok"
+    assert own["data folder: catalogue"].state == "fail"
+    assert f"`solimon rebuild --data-dir {tmp_path}` makes it again" in own["data folder: catalogue"].found
+    other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
+    assert other["data folder: configuration"].state == "fail"
+    assert "belongs to the experiment" in other["data folder: configuration"].found
+
+
 def test_a_folder_with_somebody_s_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
