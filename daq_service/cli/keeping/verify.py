@@ -163,7 +163,11 @@ def check_experiment(look: Look) -> Iterator[Finding]:
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=f"it cannot be read: {error}")
         return
     look.checked["lines_of_history"] = history.last_number
-    for line in [*history.damage, *_lines_cut_off(look, max(history.events, default=0), running=running)]:
+    last_id = max(history.events, default=0)
+    # A folder from before there was either gets them with its next start.
+    older = history.last_number == 0 and not (look.folder / EXPERIMENT_FILE).exists()
+    cut_off = [] if older else _lines_cut_off(look, last_id, running=running)
+    for line in [*history.damage, *cut_off]:
         told = f"{line}; the catalogue has it still: back it up, and keep both"
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
 

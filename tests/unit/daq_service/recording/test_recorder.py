@@ -133,7 +133,8 @@ def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
     assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.told)
-    assert line.heartbeat.told[-1].endswith(f"set {SETS - 1}"), "and no longer once it is over"
+    assert line.heartbeat.told[-2].endswith(f"set {SETS - 1}"), "and no longer once it is over"
+    assert line.heartbeat.told[-1] == "leaving"
 
 
 def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
