@@ -90,7 +90,7 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
         baseline={"hours": 8.0, "minimum_sets": 15},
         alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
     )
-    wall = {"B": 0.005, "C": 0.0, "D": 0.1}
+    wall = {"B": 0.008, "C": 0.0, "D": 0.1}
     line.script = lambda key: healthy(
         key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
     )
