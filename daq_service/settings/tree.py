@@ -382,8 +382,8 @@ class Settings(BaseSettings):
     def _sets_do_not_overlap(self) -> None:
         """One set is struck before the next is due: else it would be missed while the rig is at work."""
         transducers = len(self.names_of(SOLITARY_WAVE))
-        # In the interval after the last strike the record is read, and the echo struck.
-        strikes = transducers * self.schedule.shots_per_set
+        # The last strike needs no interval after it.
+        strikes = max(0, transducers * self.schedule.shots_per_set - 1)
         takes_s = strikes * self.schedule.shot_interval_s
         shortest_s = min(phase.interval_h for phase in self.schedule.phases) * 3600.0
         if takes_s > shortest_s:
