@@ -343,7 +343,7 @@ def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
     (tmp_path / FILE_NAME).unlink()
     with served(filled.settings, tmp_path) as service, service.client() as api:
         answer = get(api, "/api/v1/transducers")
-        assert answer["as_of"]["recorder"] == "absent"
+        assert answer["as_of"]["recorder"] == "silent"
         assert all(row["stale"] for row in answer["items"])
     filled.close()
 
