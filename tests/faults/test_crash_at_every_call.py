@@ -172,7 +172,8 @@ def test_sixty_states_by_the_command(fast, library, capsys):
     whole = rows_of(folder / "data")
     assert len(whole["shots"]) >= 100
     count = 0
-    for name, state, acknowledged in states(calls, some=64):
+    # A fifth of those asked for come behind calls that leave nothing new, at the very end.
+    for name, state, acknowledged in states(calls, some=80):
         after = fast / f"command {count}"
         write_state(state, after / "data")
         assert set(acknowledged) <= durable(after / "data"), name
