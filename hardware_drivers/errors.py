@@ -4,6 +4,7 @@
 
     InstrumentError
     ├── ConfigurationError      stop and say it: the request can never succeed as written
+    │   └── UnknownStatusError  no table names it: as above, but a test that has begun asks again
     ├── BusyError               somebody else owns the board or port: name the owner, back off
     ├── AcquisitionTimeoutError no trigger within the deadline: a missed strike
     └── ConnectionLostError     the instrument or its driver is gone: rebuild, bounded
@@ -21,6 +22,10 @@ class InstrumentError(Exception):
 
 class ConfigurationError(InstrumentError):
     """The request contradicts the hardware or itself; repeating it cannot help."""
+
+
+class UnknownStatusError(ConfigurationError):
+    """A vendor's status that no table names: nobody knows whether asking again helps."""
 
 
 class BusyError(InstrumentError):

@@ -19,13 +19,14 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.backlog import PASSING
 from hardware_drivers.errors import BusyError as InstrumentBusyError
-from hardware_drivers.errors import ConnectionLostError, InstrumentError
+from hardware_drivers.errors import ConnectionLostError, InstrumentError, UnknownStatusError
 from hardware_drivers.instruments import Rig
 
 log = logging.getLogger(__name__)
 
 WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 BEAT_EVERY_S = 0.2
+MAY_PASS = (InstrumentBusyError, ConnectionLostError, UnknownStatusError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +101,7 @@ def open_patiently(
     waits_s: Sequence[float],
     alarm: OpeningAlarm,
 ) -> tuple[Rig | None, str]:
-    """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
+    """Open the rig; a test that has begun waits for what may pass, a new one says so and ends.
 
     A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
     weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
@@ -124,7 +125,7 @@ def open_patiently(
         try:
             rig = open_once()
         except InstrumentError as error:
-            may_pass = restarted or isinstance(error, InstrumentBusyError | ConnectionLostError)
+            may_pass = restarted or isinstance(error, MAY_PASS)
             if not (resuming and may_pass):
                 kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
                 raise kind(f"the rig cannot be opened: {error}") from error

@@ -20,6 +20,7 @@ from hardware_drivers.errors import (
     ConfigurationError,
     ConnectionLostError,
     InstrumentError,
+    UnknownStatusError,
 )
 
 log = logging.getLogger(__name__)
@@ -155,6 +156,7 @@ _REMEDIES: dict[type[InstrumentError], str] = {
     BusyError: "end the other program or its task; nothing of it was touched",
     ConnectionLostError: "check power, seating and cable of board and chassis",
     ConfigurationError: "correct the settings of [rig.daqmx] or the wiring",
+    UnknownStatusError: "compare the settings of [rig.daqmx] and the wiring with what the board can do",
 }
 _OWNER = re.compile(r"(?:in use by|reserved by|owned by|owner)\s*:?\s+([^\n]+)", re.IGNORECASE)
 _OWNING_TASK = re.compile(r"in use by\s+task name:\s*([^\n]+)", re.IGNORECASE)
@@ -169,7 +171,7 @@ def class_of(status: int) -> type[InstrumentError]:
         return BusyError
     if status in LOST:
         return ConnectionLostError
-    return ConfigurationError
+    return UnknownStatusError
 
 
 def owner_in(text: str) -> str:

@@ -21,6 +21,7 @@ from hardware_drivers.errors import (
     ConfigurationError,
     ConnectionLostError,
     InstrumentError,
+    UnknownStatusError,
 )
 
 log = logging.getLogger(__name__)
@@ -57,7 +58,7 @@ CLASS_OF_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
         SYNCHRONISATION_TIMEOUT: ConnectionLostError,
     }
 )
-"""Class of each code of NI-SCOPE; every other negative code is a `ConfigurationError`."""
+"""Class of each code of NI-SCOPE; every other negative code is an `UnknownStatusError`."""
 
 _KERNEL_GONE = (
     *(-50101, -50150, -50151, -50152, -50202, -50300, -50303),  # not available, software, firmware, hardware
@@ -105,7 +106,7 @@ def class_of(code: int, description: str) -> type[InstrumentError]:
     """Class of a driver's error."""
     codes = (code, *map(int, _WRAPPED.findall(description)))
     known = (CLASS_OF_CODE.get(number) or CLASS_OF_KERNEL_CODE.get(number) for number in codes)
-    return next((kind for kind in known if kind is not None), ConfigurationError)
+    return next((kind for kind in known if kind is not None), UnknownStatusError)
 
 
 def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:

@@ -39,6 +39,7 @@ class Unwilling:
 
 GONE = errors.ConnectionLostError("the chassis is gone; switch it on")
 BUSY = errors.BusyError("board 01E16086 is held by 'test panel'; close it")
+UNKNOWN = errors.UnknownStatusError("DAQmx -999999: nobody knows it")
 WRONG = errors.ConfigurationError("range_v is 3 V; the board has 1, 2, 5 and 10 V")
 
 
@@ -46,7 +47,8 @@ record = partial(run, waits_for_rig_s=(0.01,))
 
 
 @pytest.mark.parametrize(
-    ("refusal", "kind", "code"), [(GONE, RigError, 3), (BUSY, BusyError, 5), (WRONG, RigError, 3)]
+    ("refusal", "kind", "code"),
+    [(GONE, RigError, 3), (BUSY, BusyError, 5), (UNKNOWN, RigError, 3), (WRONG, RigError, 3)],
 )
 def test_a_test_that_has_not_begun_says_so_and_ends(
     tmp_path: Path, refusal: Exception, kind: type[RigError], code: int
@@ -58,7 +60,7 @@ def test_a_test_that_has_not_begun_says_so_and_ends(
     assert rows_of(tmp_path)["sets"] == []
 
 
-@pytest.mark.parametrize("refusal", [GONE, BUSY])
+@pytest.mark.parametrize("refusal", [GONE, BUSY, UNKNOWN])
 def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Exception) -> None:
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     doing = []

@@ -20,9 +20,9 @@ from support.waiting import happened, until
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
-    ConfigurationError,
     ConnectionLostError,
     InstrumentError,
+    UnknownStatusError,
 )
 from hardware_drivers.niscope.pulse_echo import open_niscope
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
@@ -284,7 +284,7 @@ def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, func
     assert works_again(brain)
 
 
-CLASSES = {**CLASS_OF_CODE, **CLASS_OF_KERNEL_CODE, -1074135024: ConfigurationError}
+CLASSES = {**CLASS_OF_CODE, **CLASS_OF_KERNEL_CODE, -1074135024: UnknownStatusError}
 ONE_OF_EACH = {kind: code for code, kind in CLASSES.items()}.values()
 
 

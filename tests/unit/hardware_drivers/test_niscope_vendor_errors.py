@@ -13,6 +13,7 @@ from hardware_drivers.errors import (
     ConfigurationError,
     ConnectionLostError,
     InstrumentError,
+    UnknownStatusError,
 )
 from hardware_drivers.niscope.session import open_session, vendor_package
 from hardware_drivers.niscope.vendor_errors import (
@@ -36,8 +37,8 @@ niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscop
         (-1074118654, ConnectionLostError),
         (-1074130544, ConnectionLostError),
         (-1074108967, ConnectionLostError),
-        (-1074118622, ConfigurationError),
-        (-1, ConfigurationError),
+        (-1074118622, UnknownStatusError),
+        (-1, UnknownStatusError),
     ],
 )
 def test_class_of_a_code(code, kind):
@@ -50,8 +51,8 @@ def test_class_of_a_code_of_the_kernel_below(code, kind):
     assert class_of(code, "") is kind
 
 
-def test_a_wrapped_code_that_nobody_knows_is_a_matter_of_configuration():
-    assert class_of(-1074100000, "Status Code: -123") is ConfigurationError
+def test_a_wrapped_code_that_nobody_knows_stays_unknown():
+    assert class_of(-1074100000, "Status Code: -123") is UnknownStatusError
 
 
 @pytest.mark.parametrize("code", CLASS_OF_CODE)
