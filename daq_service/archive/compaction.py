@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.journal.reader import read_journal
 from daq_service.archive.layout import Record, build_image
 from daq_service.archive.reader import read_records
-from daq_service.archive.records import TEMPORARY_SUFFIX, Places, Results, SetReference
+from daq_service.archive.records import TEMPORARY_SUFFIX, Places, Results, SetRecord, SetReference
 from daq_service.shared_file import read_shared, write_durably
 
 
@@ -24,7 +24,8 @@ def compact_set(
     set_index: int,
     places: Places | None = None,
     results: Results = MappingProxyType({}),
-) -> tuple[SetReference, str]:
+    also: Callable[[SetRecord], str] | None = None,
+) -> tuple[SetReference, str, str]:
     """Give a whole set of the journal its own file; one that it has is compared and left.
 
     Runs in a process of its own beside the recorder, who alone takes frames away.
@@ -35,11 +36,13 @@ def compact_set(
         Where the journal has the set (`Archive.places`); None: anywhere.
     results
         What was computed of the set.
+    also
+        Done with the set once its file is compared; says what kept it from that.
 
     Returns
     -------
     tuple
-        The file and its SHA-256.
+        The file, its SHA-256, and what ``also`` said.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def compact_set(
         raise CorruptArchiveError(f"{path} does not read as it was written; the journal keeps the set")
     if not _same(read_records(path, content), record.records):
         raise CorruptArchiveError(f"{path} is not what the journal holds; the journal keeps the set")
-    return reference, hashlib.sha256(content).hexdigest()
+    return reference, hashlib.sha256(content).hexdigest(), also(record) if also else ""
 
 
 def _same(found: Sequence[Record], records: Sequence[Record]) -> bool:

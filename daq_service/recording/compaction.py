@@ -10,7 +10,14 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq_service.archive import Archive, CorruptArchiveError, Results, SetNotFoundError, SetReference
+from daq_service.archive import (
+    Archive,
+    CorruptArchiveError,
+    Results,
+    SetNotFoundError,
+    SetRecord,
+    SetReference,
+)
 from daq_service.archive.compaction import compact_set
 from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
@@ -32,6 +39,9 @@ class Compaction:
         Tells what was computed of a set, for its file.
     filed
         Told a set, its file and the SHA-256 of that before the journal forgets the set.
+    also
+        Gives what the worker shall do with a set, of which this was computed, while it has its records at
+        hand; that says what kept it from it, once in the log.
     """
 
     def __init__(
@@ -43,25 +53,29 @@ class Compaction:
         mono_s: Callable[[], float] = time.monotonic,
         results: Callable[[int], Results] = lambda set_index: {},
         filed: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
+        also: Callable[[int, Results], Callable[[SetRecord], str] | None] = lambda set_index, results: None,
     ) -> None:
         self._folder, self._archive = folder, archive
         self._start, self._mono_s, self._results, self._filed = start, mono_s, results, filed
+        self._also = also
         self._executor: Executor | None = None
-        self._running: dict[int, Future[tuple[SetReference, str]]] = {}
+        self._running: dict[int, Future[tuple[SetReference, str, str]]] = {}
         self._again_s: dict[int, float] = {}
-        self._refusal = self._damage = ""
+        self._refusal = self._damage = self._told = ""
 
     def put(self, set_index: int) -> None:
         """Have a file made of a whole set of the journal."""
         if self._executor is None:
             self._executor = self._start()
         try:
+            results = self._results(set_index)
             self._running[set_index] = self._executor.submit(
                 compact_set,
                 self._folder,
                 set_index,
                 self._archive.places(set_index),
-                self._results(set_index),
+                results,
+                self._also(set_index, results),
             )
         except BrokenExecutor:
             self._executor = None
@@ -90,9 +104,13 @@ class Compaction:
             del self._again_s[set_index]
             self.put(set_index)
 
-    def _take_back(self, set_index: int, future: Future[tuple[SetReference, str]]) -> None:
+    def _take_back(self, set_index: int, future: Future[tuple[SetReference, str, str]]) -> None:
         try:
-            self._filed(set_index, *future.result())
+            file, sha256, told = future.result()
+            self._filed(set_index, file, sha256)
+            if told and told != self._told:
+                log.warning("%s", told)
+            self._told = told
         except SetNotFoundError:
             log.debug("set %d is not in the journal: it has its file already", set_index)
         except CorruptArchiveError as error:

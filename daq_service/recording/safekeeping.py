@@ -254,8 +254,7 @@ class Safekeeping:
             return
         until_s = self._mono_s() + WAIT_FOR_FILES_S
         while idle() and self._mono_s() < until_s:
-            tiles_wait = self._tiling is not None and self._tiling.waits
-            if not (self._compaction.waits or tiles_wait):
+            if not self._compaction.waits:
                 break
             self._compaction.try_again()
             self._stop.wait(self._look_every_s)

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.alarms.states import Moment
-from daq_service.archive import Archive, FolderArchive, SetReference
+from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
+from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import keep_experiment
@@ -42,7 +43,7 @@ from daq_service.recording.rebuild import rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.recording.safekeeping import Helpers
-from daq_service.recording.tiling import Tiling
+from daq_service.recording.tiling import Tiling, tile_record
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
@@ -125,14 +126,11 @@ def record(
             catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
         history = HistoryFollower(folder, catalogue)
         history.begin()
-        tiling: Tiling | None = None  # before the sets that a crash left without a digest
         archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
 
         def filed(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)
             history.filed(file, sha256)
-            if tiling is not None:
-                tiling.put(set_index, file)
 
         _note_digests(catalogue, archive, filed)
         clock: Clock
@@ -170,12 +168,23 @@ def record(
         if rig is None:
             _take_leave(catalogue, history, heartbeat, moment(), left_alone)
             return False
+        disk = DiskWatch(folder, settings.storage, usage=disk_usage)
+        stack.callback(disk.give_back)
+        experiment = experiment_identity(catalogue.experiment_row())
+
+        def has_room() -> bool:
+            return disk.space.level in ("ample", "warn")
+
+        def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
+            return partial(tile_record, folder, experiment, anchors_of(results)) if has_room() else None
+
         compaction = Compaction(
             folder,
             archive,
             start=compaction_worker,
             results=partial(results_in, catalogue),
             filed=filed,
+            also=tiles,
         )
         # One that has no rows yet gets them first: its file holds what they say.
         for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
@@ -185,15 +194,13 @@ def record(
             folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of, filed
         )
         live = LivePicture(folder, rig.kind)
-        disk = DiskWatch(folder, settings.storage, usage=disk_usage)
-        stack.callback(disk.give_back)
         tiling = Tiling(
             folder,
-            experiment_identity(catalogue.experiment_row()),
+            experiment,
             compaction,
             partial(catalogue.files_but_of, ()),
             partial(results_in, catalogue),
-            has_room=lambda: disk.space.level in ("ample", "warn"),
+            has_room=has_room,
         )
         machine = MachineWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
         recorder = Recorder(

@@ -1,4 +1,8 @@
-"""Tiles of the waterfall grow with the test, in the worker's process; trouble costs the tiles alone."""
+"""Tiles of the waterfall grow with the test, in the worker's process; trouble costs the tiles alone.
+
+A set is added while its file is made (`tile_record`); what older versions, a full volume or a damaged tile
+left out follows while nothing is due.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
-from daq_service.archive import Results, SetReference
+from daq_service.archive import Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.archive.waterfall.keeping import forget_tiles, keep_file
+from daq_service.archive.waterfall.keeping import forget_tiles, keep_file, keep_set
 from daq_service.errors import StorageError
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import QUIET_S
@@ -22,6 +26,17 @@ EVERY_S, SETS_A_TURN = 10.0, 4
 """Some hundredths of a second each: about one per cent of a core."""
 
 
+def tile_record(folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord) -> str:
+    """Add a set at hand to the tiles; return what kept it from them, empty: nothing."""
+    if record.set_index >= PLANNED_SETS:
+        return ""
+    try:
+        keep_set(folder, experiment, record, anchors)
+    except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
+        return f"the tiles of the waterfall lack a set: {error!r}"
+    return ""
+
+
 def tiled(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
     """Add stored sets to the tiles; return what kept one from it, empty: nothing."""
     told = ""
@@ -29,7 +44,7 @@ def tiled(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) ->
         try:
             keep_file(folder, experiment, SetReference(file), anchors_of(results))
         except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
-            told = f"{file}: {error!r}"
+            told = repr(error)
     return told
 
 
@@ -47,9 +62,10 @@ def tiles_again(
         return [f"the old tiles stay: {error}"]
     told = []
     for number, (set_index, file) in enumerate(_of_the_plan(files).items()):
-        told.append(tiled(folder, experiment, [(file, results(set_index))]))
+        if why := tiled(folder, experiment, [(file, results(set_index))]):
+            told.append(f"{file}: {why}")
         progress(number + 1, len(files))
-    return [line for line in told if line]
+    return told
 
 
 def _of_the_plan(files: Mapping[int, str]) -> dict[int, str]:
@@ -58,7 +74,7 @@ def _of_the_plan(files: Mapping[int, str]) -> dict[int, str]:
 
 
 class Tiling:
-    """Adds each set that got its file, and while nothing is due those that the tiles lack.
+    """Adds the sets that the tiles lack, while nothing is due.
 
     Parameters
     ----------
@@ -83,20 +99,10 @@ class Tiling:
     ) -> None:
         self._folder, self._experiment, self._compaction = folder, experiment, compaction
         self._files, self._results, self._has_room, self._mono_s = files, results, has_room, mono_s
-        self._new: dict[int, str] = {}
         self._round: list[tuple[int, str]] = []
         self._running: Future[str] | None = None
         self._next_s = mono_s()
         self._told = ""
-
-    def put(self, set_index: int, file: str) -> None:
-        """Have a set added that has its file now, when the worker has time."""
-        self._new |= _of_the_plan({set_index: file})
-
-    @property
-    def waits(self) -> bool:
-        """A set that got its file is in no tile yet."""
-        return bool(self._new) or self._running is not None
 
     def work(self, free_s: float) -> None:
         """Take back what is done, and go on.
@@ -111,11 +117,7 @@ class Tiling:
                 return
             self._take_back(self._running)
             self._running = None
-        if not self._has_room():
-            self._new.clear()
-        elif self._new:
-            self._begin([self._new.popitem() for _ in range(min(SETS_A_TURN, len(self._new)))])
-        elif free_s > QUIET_S and self._mono_s() >= self._next_s:
+        if self._has_room() and free_s > QUIET_S and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             self._begin(self._of_the_round())
 
@@ -134,8 +136,6 @@ class Tiling:
             return
         if told:
             self._running = self._compaction.beside(tiled, self._folder, self._experiment, told)
-        if self._running is None:  # files come first; these follow in a later turn
-            self._new.update(sets)
 
     def _take_back(self, future: Future[str]) -> None:
         try:
@@ -143,5 +143,5 @@ class Tiling:
         except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again
             told = repr(error)
         if told and told != self._told:
-            log.warning("a set is not in the tiles of the waterfall: %s", told)
+            log.warning("the tiles of the waterfall lack sets: %s", told)
         self._told = told

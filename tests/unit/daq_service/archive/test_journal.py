@@ -166,7 +166,7 @@ def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
         assert sum(len(content) for _, content in contents(tmp_path, places)) == end - start
         assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_index}
         assert whole[start:end].strip(b"\0") == whole[start:end]
-        file, _ = compact_set(tmp_path, second.set_index, archive.places(second.set_index))
+        file, *_ = compact_set(tmp_path, second.set_index, archive.places(second.set_index))
         assert (tmp_path / file).read_bytes() == build_image(second)
 
 

@@ -52,7 +52,7 @@ def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypa
     now_s = [0.0]
     making = Compaction(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
 
-    def refuse(folder, set_index, places, results):
+    def refuse(folder, set_index, places, results, also):
         raise refusal
 
     with monkeypatch.context() as patch:

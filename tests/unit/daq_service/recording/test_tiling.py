@@ -3,6 +3,7 @@
 import logging
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,7 +23,8 @@ from daq_service.judgement.results import results_in
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import QUIET_S
 from daq_service.recording.rebuild import rebuild
-from daq_service.recording.tiling import EVERY_S, SETS_A_TURN, Tiling
+from daq_service.recording.tiling import EVERY_S, SETS_A_TURN, Tiling, tile_record
+from hardware_drivers.measurement import PLANNED_SETS
 
 N_SETS = 6
 RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
@@ -33,10 +35,12 @@ class Line:
 
     def __init__(self, folder):
         self.folder, self.now_s, self.room = folder, 0.0, True
-        self.archive = FolderArchive(folder)
+        self.archive = FolderArchive(folder, journal=True)
         self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
         self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
-        self.compaction = Compaction(folder, self.archive, start=AtOnce)
+        self.compaction = Compaction(
+            folder, self.archive, start=AtOnce, results=lambda set_index: RESULTS, also=self.tile
+        )
         self.tiling = Tiling(
             folder,
             "ab/1",
@@ -47,6 +51,18 @@ class Line:
             mono_s=lambda: self.now_s,
         )
 
+    def tile(self, set_index, results):
+        return partial(tile_record, self.folder, "ab/1", anchors_of(results)) if self.room else None
+
+    def file(self, *, room=True):
+        """Have all sets get their files; with no room they get no tiles."""
+        self.room = room
+        for index in self.files:
+            self.compaction.put(index)
+            self.compaction.work()
+        self.room = True
+        assert len(list((self.folder / "sets").iterdir())) == N_SETS
+
     def tiles(self, position="B", alignment="trigger"):
         return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
 
@@ -56,8 +72,7 @@ class Line:
     def work(self, free_s=0.0):
         """Have one turn done, and taken back."""
         self.tiling.work(free_s)
-        if self.tiling.waits:
-            self.tiling.work(free_s)
+        self.tiling.work(0.0)
 
 
 @pytest.fixture
@@ -69,10 +84,8 @@ def line(tmp_path):
 
 
 def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
-    line.tiling.put(SET_INDEX, line.files[SET_INDEX])
-    assert line.tiling.waits
-    line.work()
-    assert (line.tiling.waits, line.kept()) == (False, [SET_INDEX])
+    line.file()
+    assert line.kept() == list(line.files)
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
         tiles = line.tiles(position, alignment)
         record = line.records[SET_INDEX]
@@ -81,6 +94,7 @@ def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
 
 
 def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
+    line.file(room=False)
     line.work(free_s=QUIET_S)
     assert line.kept() == [], "a set is due soon"
     line.work(free_s=QUIET_S + 1)
@@ -93,9 +107,7 @@ def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
 
 
 def test_a_damaged_tile_is_made_again_in_the_next_round(line):
-    for index, file in line.files.items():
-        line.tiling.put(index, file)
-        line.work()
+    line.file()
     (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
     content = bytearray(path.read_bytes())
     content[-9] ^= 1
@@ -110,22 +122,26 @@ def test_a_damaged_tile_is_made_again_in_the_next_round(line):
 def test_a_folder_that_takes_no_tile_is_told_once_and_costs_nothing(line, caplog):
     (line.folder / TILES_FOLDER).write_bytes(b"no folder")
     with caplog.at_level(logging.WARNING):
-        for index, file in line.files.items():
-            line.tiling.put(index, file)
-            line.work()
-            line.tiling.put(index, file)
-            line.work()
-    assert not line.tiling.waits
+        line.file()
+        for _ in line.files:
+            line.work(free_s=QUIET_S + 1)
+            line.now_s += EVERY_S
     told = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
-    assert len(told) == N_SETS, "each set once, not at each turn"
+    assert len(told) == 2, "once by the making of files, once by the rounds"
     assert line.compaction.trouble == ""
 
 
 def test_a_full_volume_gets_no_tiles(line):
+    line.file(room=False)
     line.room = False
-    line.tiling.put(SET_INDEX, line.files[SET_INDEX])
     line.work(free_s=QUIET_S + 1)
-    assert (line.tiling.waits, (line.folder / TILES_FOLDER).exists()) == (False, False)
+    assert not (line.folder / TILES_FOLDER).exists()
+
+
+def test_a_set_beside_the_plan_gets_no_tiles(line):
+    record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
+    assert tile_record(line.folder, "ab/1", {}, record) == ""
+    assert not (line.folder / TILES_FOLDER).exists()
 
 
 @pytest.fixture(scope="module")
