@@ -64,6 +64,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import context_of
 from daq_service.web.routes.stream import frames
+from daq_service.web.tables.choice import TABLES
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 from simulator.echo.pulse import echo_calibration, echo_volts
@@ -72,11 +73,9 @@ SETS = 17_500
 SETS_A_COMMIT = 25
 FEWEST_A_ROUND = 10
 """A round asks each route so often, that 20 of them make a 99th percentile of 200 answers."""
-LEFT_OUT = (
-    "/api/v1/trends/", "/api/v1/fits/", "/api/v1/tables/{table}", "/api/v1/report", "/api/v1/waterfall/",
-    "/api/v1/files/", "/api/v1/stream",
-)  # fmt: skip
-"""What reads a whole test by its nature, or a file as it is; the stream is measured by its catch-up."""
+LEFT_OUT = ("/api/v1/trends/", "/api/v1/fits/", "/api/v1/report", "/api/v1/waterfall/", "/api/v1/stream")
+"""`history_at_any_zoom.py` and `waterfall.py` measure these; a report is a document of the whole test; the
+stream is measured by its catch-up."""
 CATCH_UP_EVENTS, STREAM, PAGES = 5000, "/api/v1/stream: catch-up on 5,000 events", 3
 CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0)
 NO_PSW_EVERY, MISSED_EVERY, ALARM_EVERY, COMMANDS = 997, 1499, 29, 200
@@ -373,6 +372,12 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         "alarms": ["active=true", "active=false", named[0]],
         "baselines": [named[0]],
     }  # fmt: skip
+    if path.endswith("/tables/{table}"):  # of a position's day; what is asked for more costs more
+        day = {table: hours[2] if table == "environment" else named[3] for table in TABLES}
+        return [path.format(table=table) + f"?{query}" for table, query in day.items()]
+    if path.endswith("/files/{name}"):
+        last = plan(year_settings().schedule.phases, parse_utc(year_settings().clock.epoch))[n_sets - 1]
+        return [path.format(name=Path(set_reference(last.set_index, last.due_utc_ns)).name)]
     if path.endswith("/waveforms/{position}"):
         path += f"?first_set={n_sets - 1}&last_set={n_sets - 1}"
     path = path.replace("{set_index}", str(n_sets - 1)).replace("{shot_index}", "0")

@@ -100,6 +100,12 @@ def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool
 
 def look_at_recorder(folder: Path, kinds: Sequence[str]) -> RecorderState:
     """State at this moment on this machine; ``kinds`` as in `recorder_state`."""
+    if kinds and not folder.is_dir():
+        gone = (
+            f"nobody can tell: {folder} is gone; a recorder that runs keeps what it takes in memory and "
+            "stores it when the folder is back: bring it back"
+        )
+        return RecorderState(word="silent", description=gone, listens=False, beat=None, beat_age_s=None)
     return recorder_state(
         read_heartbeat(folder),
         kinds,

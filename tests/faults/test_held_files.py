@@ -22,7 +22,7 @@ from daq_service.catalogue.rows import SetRow
 pytestmark = needs_a_preload
 
 SHORT = {**SMALL["schedule"], "end_h": 3.0}
-CALLS = "open,rename,unlink"
+CALLS = "open,read,rename,unlink"
 ROUTES = ("", "static/main.js", "api/v1/health", "api/v1/transducers", "api/v1/waveforms/live/B")
 HELD = {"once": "first 0", "for half a second": "first 500", "one call in a hundred": "rate 10"}
 
@@ -101,7 +101,9 @@ def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tm
     assert set(answers) <= {200, 404, 503}, "not yet, or not now; a fault would be 500"
     assert rows_of(data) == undisturbed
     assert not list((data / "sets").glob("*.tmp"))
-    files = {Path(line.split(" ", 1)[1]).name for line in log.read_text(encoding="utf-8").splitlines()}
+    noted = [line.split(" ", 1) for line in log.read_text(encoding="utf-8").splitlines()]
+    files = {Path(path).name for _, path in noted}
+    assert {call for call, _ in noted} >= set(CALLS.split(",")) - {"unlink"}
     if when != "rate 10":
         assert {
             "catalogue.sqlite",

@@ -41,6 +41,7 @@ SOME = [
     case("open", "*", "EMFILE", first=100),
     {**case("mkdir", "/quarantine", "ENOSPC"), "damaged": True},
     {"locked_s": 60.0},
+    {"moved_s": 60.0},
 ]
 
 
@@ -94,8 +95,8 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
     found = followed(SOME, tmp_path)
     assert [wrong(told) for told in found] == [[]] * len(SOME), found
     assert all(told["refusals"] for told in found)
-    by_journal, by_catalogue, locked = found[0], found[1], found[-1]
-    for told in (by_journal, by_catalogue, locked):
+    by_journal, by_catalogue, locked, moved = found[0], found[1], found[-2], found[-1]
+    for told in (by_journal, by_catalogue, locked, moved):
         assert told["told_after_s"] <= TOLD_WITHIN_S
         assert [kind for kind, _ in told["alarms"]] == ["storage_unavailable"]
 

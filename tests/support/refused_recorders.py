@@ -48,6 +48,7 @@ SETS_BEFORE, SETS = 2, 6
 INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
 """A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
 starting only as long as no set is due."""
+TROUBLE_AFTER_S = 28.0
 DAMAGED = set_reference(SETS - 1, parse_utc("2026-01-01T00:00:00Z"))
 """A set's file without rows, as a disk may leave one; a start sets it aside."""
 CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
@@ -171,15 +172,16 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     clock.now_ns = begun["now_ns"]
     told_ids: list[int] = begun["told"]
     refusals: Callable[[], int] = ctypes.CDLL(os.environ["LD_PRELOAD"]).refusals
-    if "locked_s" in case:
-        refusals = lambda: int(locked.since_s > 0.0)  # noqa: E731
+    trouble = trouble_of(case, folder, clock)
+    if trouble is not None:
+        refusals = lambda: int(trouble.since_s > 0.0)  # noqa: E731
     instruments = LongerRecords(healthy)
     seen_s: list[tuple[int, float]] = []
-    locked = Lock(folder / "catalogue.sqlite", clock, at_s=clock.s() + 28.0, for_s=case.get("locked_s", 0.0))
 
     def look() -> None:
         assert clock.s() < begun["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {told.said[-3:]}"
-        locked.look()
+        if trouble is not None:
+            trouble.look()
         if refusals() > (seen_s[-1][0] if seen_s else 0):
             seen_s.append((refusals(), clock.s()))
         patience_s = FREED_AFTER_S if instruments.calls else FREED_BEFORE_THE_START_S
@@ -245,23 +247,38 @@ def left(folder: Path) -> list[str]:
     return sorted(path.name for path in (*folder.glob("journal/*"), *folder.glob("**/*.tmp")))
 
 
-class Lock:
-    """Somebody's exclusive transaction on the catalogue, for a while."""
+class Trouble:
+    """Something that somebody does to the folder, and undoes after a while."""
 
-    def __init__(self, path: Path, clock: Time, *, at_s: float, for_s: float) -> None:
-        self._path, self._clock, self._at_s, self._for_s = path, clock, at_s, for_s
-        self._held: sqlite3.Connection | None = None
+    def __init__(self, clock: Time, for_s: float, do: Callable[[], Callable[[], Any]]) -> None:
+        self._clock, self._for_s, self._do = clock, for_s, do
+        self._at_s = clock.s() + TROUBLE_AFTER_S
+        self._undo: Callable[[], Any] | None = None
         self.since_s = 0.0
 
     def look(self) -> None:
         now_s = self._clock.s()
-        if self._held is None and not self.since_s and self._for_s and now_s >= self._at_s:
-            self._held = sqlite3.connect(self._path, isolation_level=None)
-            self._held.execute("BEGIN EXCLUSIVE")
-            self.since_s = now_s
-        if self._held is not None and now_s > self.since_s + self._for_s:
-            self._held.close()
-            self._held = None
+        if not self.since_s and now_s >= self._at_s:
+            self._undo, self.since_s = self._do(), now_s
+        if self._undo is not None and now_s > self.since_s + self._for_s:
+            self._undo()
+            self._undo = None
+
+
+def trouble_of(case: dict[str, Any], folder: Path, clock: Time) -> Trouble | None:
+    """An exclusive transaction on the catalogue, or the folder moved away."""
+
+    def lock() -> Callable[[], Any]:
+        held = sqlite3.connect(folder / "catalogue.sqlite", isolation_level=None)
+        held.execute("BEGIN EXCLUSIVE")
+        return held.close
+
+    def move() -> Callable[[], Any]:
+        elsewhere = folder.rename(folder.with_name("elsewhere"))
+        return lambda: elsewhere.rename(folder)
+
+    doings = {"locked_s": lock, "moved_s": move}
+    return next((Trouble(clock, case[name], do) for name, do in doings.items() if name in case), None)
 
 
 def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:

@@ -531,6 +531,7 @@ class RecorderHealth(Answer):
     """The recorder's sign of life."""
 
     state: Literal["running", "finished", "stopped", "silent", "absent"]
+    description: str
     doing: str | None
     beat_age_s: float | None
     deadline_s: float | None

@@ -154,6 +154,7 @@ WORDS: Mapping[str, str] = {
     "last_verdict": "Newest verdict; null: there is none",
     "recorder": "How the recorder is",
     "RecorderHealth.state": "How the recorder is",
+    "RecorderHealth.description": "The same in words, with what helps",
     "doing": "What it was doing at its last sign of life; null: there was none",
     "beat_age_s": "Age of its last sign of life; null: there was none in this boot",
     "deadline_s": "How long it may give none; null: there was none",

@@ -1,6 +1,7 @@
 """How the recorder is: one answer, also after a reboot and with a heartbeat that a power cut tore."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +16,7 @@ from daq_service.clock import boot_name
 from daq_service.errors import BusyError
 from daq_service.orders.give import give_order
 from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage
-from daq_service.processes.recorder_state import Word, recorder_state
+from daq_service.processes.recorder_state import Word, look_at_recorder, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
@@ -209,4 +210,18 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     context.catalogue_access.close()
     assert health["recorder"]["state"] == health["as_of"]["recorder"]
     assert health["recorder"]["state"] == "silent"
+    assert health["recorder"]["description"] in (REBOOTED, GONE)
     assert health["recorder"]["beat_age_s"] is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows renames no folder in which files are open")
+def test_of_a_folder_that_was_moved_away_nobody_claims_to_know_its_recorder(folder: Path) -> None:
+    context = Context(Settings(), folder)
+    context.catalogue()
+    folder.rename(folder.with_name("elsewhere"))
+    health = json.loads(bytes(get_health(context).body))["recorder"]
+    context.catalogue_access.close()
+    assert health["state"] == "silent"
+    assert f"{folder} is gone" in health["description"]
+    assert "keeps what it takes in memory" in health["description"]
+    assert look_at_recorder(folder, []).word == "absent", "of a test that has not begun there is no folder"
