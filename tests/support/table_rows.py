@@ -10,12 +10,16 @@ from typing import Any
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.tables import metadata
 
+Rows = dict[str, list[tuple[Any, ...]]]
 
-def table_rows(folder: Path) -> dict[str, list[tuple[Any, ...]]]:
-    """Rows of every table in the order of their ids."""
+
+def table_rows(folder: Path, *tables: str) -> Rows:
+    """Rows of these tables, of every one if none is named, in the order of their ids."""
     with closing(sqlite3.connect(folder / FILE_NAME)) as database:
+        database.text_factory = lambda text: text.decode(errors="surrogateescape")  # damage may be no text
         return {
-            name: database.execute(f"SELECT * FROM {name} ORDER BY 1").fetchall() for name in metadata.tables
+            name: database.execute(f"SELECT * FROM {name} ORDER BY 1").fetchall()
+            for name in tables or metadata.tables
         }
 
 

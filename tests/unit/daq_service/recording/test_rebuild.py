@@ -6,8 +6,10 @@ import threading
 from dataclasses import replace
 
 import pytest
+from support.crashed_recorders import LongerRecords, features_by_key
 from support.life_of_a_test import lived, run
 from support.memory_line import Line, healthy, memory_settings, silent
+from support.refused_recorders import Stop, Time, record
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
@@ -20,6 +22,8 @@ from daq_service.catalogue.experiment_file import (
     read_experiment,
 )
 from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.catalogue.tables import metadata
+from daq_service.clock import parse_utc
 from daq_service.judgement.results import results_in
 from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.recording.experiment import foreign_because
@@ -53,6 +57,30 @@ def test_a_lost_catalogue_comes_again_row_for_row(line):
     assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
     assert told[-1] == (made.sets, made.sets)
     assert not (line.folder / BUILDING).exists()
+
+
+@pytest.fixture(scope="module")
+def on_the_wall_clock(tmp_path_factory):
+    folder, clock = tmp_path_factory.mktemp("wall") / "data", Time()
+    assert record(folder, clock, LongerRecords(healthy), [], Stop(clock))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("gone", "tables"),
+    [((), set(metadata.tables)), ((EXPERIMENT_FILE, HISTORY_FILE), {"sets", "shots", "features"})],
+    ids=["the catalogue", "all but the sets"],
+)
+def test_on_the_wall_clock_hour_0_and_the_rows_come_again(on_the_wall_clock, tmp_path, gone, tables):
+    folder = tmp_path / "data"
+    shutil.copytree(on_the_wall_clock, folder)
+    before = table_rows(folder)
+    lose_catalogue(folder, *gone)
+    rebuild(folder, features_of=features_by_key)
+    after = table_rows(folder)
+    assert {name: after[name] for name in tables} == {name: before[name] for name in tables}
+    with open_catalogue(folder) as catalogue:
+        assert catalogue.experiment_row().epoch_utc_ns == parse_utc("2026-01-01T00:00:00Z")
 
 
 def test_history_alone_tells_which_experiment_it_is(line):
