@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.crashed_recorders import LongerRecords
+from support.memory_line import healthy
+from support.refused_recorders import INTERVAL_S, Stop, Time
+from support.refused_recorders import record as record_on
 from support.small_experiment import rows_of, run
 from support.small_experiment import unjournaled_settings as small_settings
 
@@ -93,6 +97,32 @@ def test_whatever_the_rig_says_is_waited_for_where_nobody_stands_beside_it(tmp_p
     settings, rig = small_settings(schedule={"end_h": END_H}), Unwilling(GONE, WRONG)
     assert record(settings, tmp_path, rig=rig, restarted_because=again)
     assert rig.refusals == []
+
+
+def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
+    """Nobody recorded, then a recorder waited for its rig: real time, on a clock that nobody waits for."""
+    clock = Time()
+    began_s, stop, again = clock.s(), Stop(clock), Stop(clock)
+
+    def after_two_sets() -> None:
+        if clock.s() > began_s + 2.7 * INTERVAL_S:
+            stop.set()
+
+    @contextmanager
+    def absent(opener: Any, *arguments: Any) -> Iterator[Any]:
+        if clock.s() < began_s + 5.5 * INTERVAL_S:
+            raise GONE
+        with opener(*arguments) as rig:
+            yield rig
+
+    clock.look = after_two_sets
+    instruments = LongerRecords(healthy)
+    assert not record_on(tmp_path / "data", clock, instruments, [], stop)
+    clock.sleep(began_s + 3.3 * INTERVAL_S - clock.s())
+    assert record_on(tmp_path / "data", clock, instruments, [], again, lambda opener: partial(absent, opener))
+    causes = {row.set_index: row.cause for row in rows_of(tmp_path / "data")["sets"]}
+    stopped, waited = "the recorder was stopped by its operator", f"the recorder waited for the rig: {GONE}"
+    assert causes == {0: None, 1: None, 2: stopped, 3: waited, 4: None, 5: None}, "4 is struck late"
 
 
 def test_waiting_ends_when_told_to_stop(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from daq_service.recording import session
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.session import RigOpener
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_S
 from support.crashed_recorders import LongerRecords, features_by_key, in_memory, outcome
@@ -117,7 +118,14 @@ def injected(clock: Time) -> Iterator[None]:
         yield
 
 
-def record(folder: Path, clock: Time, instruments: LongerRecords, told_ids: list[int], stop: Stop) -> bool:
+def record(
+    folder: Path,
+    clock: Time,
+    instruments: LongerRecords,
+    told_ids: list[int],
+    stop: Stop,
+    opened_by: Callable[[RigOpener], RigOpener] = lambda opener: opener,
+) -> bool:
     """Record once, to the end or until ``stop``."""
     with in_memory(instruments) as opener, injected(clock):
         recorder = partial(Recorder, features_of=features_by_key, mono_s=clock.s)
@@ -128,7 +136,7 @@ def record(folder: Path, clock: Time, instruments: LongerRecords, told_ids: list
                 return session.record(
                     refusal_settings(),
                     folder,
-                    opener,
+                    opened_by(opener),
                     stop=stop,
                     tell=lambda event, **values: None,
                     acknowledged=told_ids.append,
