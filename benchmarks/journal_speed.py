@@ -3,8 +3,8 @@
     python benchmarks/journal_speed.py [--folder F] [--rounds R] [--json]
 
 A record of a shot is 13,600 samples of int16. Both write into files that are allocated at once, 16 MiB at a
-time, and pay for it. Who is first in a round alternates; the ratio is the median over rounds of raw seconds over
-journal seconds, since a disk has slow moments: 1 means that frames, facts and checksums are free.
+time, and pay for it. Who is first in a round alternates; the ratio is the median over rounds of raw seconds
+over journal seconds (a disk has slow moments): 1 means that frames, facts and checksums are free.
 Then 10,000 frames are left behind as by a crash, and read again as a start reads them.
 """
 

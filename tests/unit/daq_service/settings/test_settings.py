@@ -177,10 +177,14 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
     schedule = "[schedule]\nshots_per_set = 10\nshot_interval_s = {interval}\n[[schedule.phases]]\n"
     phase = "until_h = 10.0\ninterval_h = 0.05\n"
     # 3 transducers, 10 strikes of each: 29 intervals, and 180 s from set to set.
-    fits, too_long = (schedule.format(interval=interval) + phase for interval in (180.0 / 29.0, 6.25))
+    fits, fills, too_long = (
+        schedule.format(interval=interval) + phase for interval in (0.99 * 180.0 / 29.0, 180.0 / 29.0, 6.25)
+    )
     assert load_settings(write(tmp_path, fits)).schedule.shots_per_set == 10
     with pytest.raises(UsageError, match=r"sets overlap: 3 .* take 181.25 s, .* one due every 180 s"):
         load_settings(write(tmp_path, too_long))
+    with pytest.raises(UsageError, match=r"take 180 s, .* one due every 180 s, of which 1% is left"):
+        load_settings(write(tmp_path, fills))
 
 
 @pytest.mark.parametrize(
