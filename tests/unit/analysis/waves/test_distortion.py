@@ -91,6 +91,11 @@ def test_samples_lost_behind_the_reflected_wave_show_by_what_follows(after_psw_s
     assert judged([*clean(9), odd]) == [()] * 9 + [("disturbed",)]
 
 
+def test_noise_is_no_cut():
+    """At 16 dB the noise behind the reflected wave is as large as what a cut leaves there."""
+    assert not any("disturbed" in flags for flags in judged(clean(40, 40, noise_fraction=0.15)))
+
+
 def test_what_follows_the_reflected_wave_may_scatter():
     delays_s = 170e-6 + 1e-6 * np.array([-9, -7, -5, -3, -1, 1, 3, 5, 7, 9])
     assert judged([clean(1, k, ssw_delay_s=delay_s)[0] for k, delay_s in enumerate(delays_s)]) == [()] * 10
