@@ -31,7 +31,7 @@ from analysis.waves.record_reduction import FloatArray
 CANNOT_TELL = "cannot tell"
 STATED = 0.9
 """Least probability of a cause that is named."""
-WALL_STATED = 0.94
+WALL_STATED = 0.96
 """Of a wall that was not named before, since its alarm stays until the transducer is healthy: where contacts
 move much, tails and re-seats that no design knows make it sure of one too often."""
 FEWEST_AVERAGED = 10
