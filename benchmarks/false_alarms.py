@@ -30,6 +30,7 @@ from analysis.statistics.sequence import Assessed, assess
 FIVE_YEARS = round(Budget().run_length)
 BASELINES = (48, 200)
 RAMP_SD, RAMP_SETS = 7.0, 300
+DELAYED = ("independent", "unequal memory")
 LIMITS = ("default", "f_predictive", "paper_mean_3sd")
 FEATURES = [f"feature {k}" for k in range(P)]
 
@@ -47,11 +48,11 @@ def promise(task: tuple[str, int, int]) -> dict[str, float]:
     return {**rates, "alarms": len(found.onsets), "not promised": bool(found.why_not_guaranteed)}
 
 
-def delay_sets(task: tuple[int, int]) -> float:
+def delay_sets(task: tuple[str, int, int]) -> float:
     """Count the sets from the beginning of a ramp in a random direction to the alarm; infinite: none."""
-    n, seed = task
+    name, n, seed = task
     random = np.random.default_rng([seed, n])
-    vectors = random.standard_normal((n + 2 * RAMP_SETS, P))
+    vectors = healthy(name, n + 2 * RAMP_SETS, random)
     direction = random.standard_normal(P)
     ramp = RAMP_SD * np.arange(1, 2 * RAMP_SETS + 1) / RAMP_SETS
     vectors[n:] += ramp[:, None] * direction / np.linalg.norm(direction)
@@ -90,9 +91,9 @@ def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
             told = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
             found["healthy"][f"{name}, n = {n}"] = told
             print(f"{name}, n = {n}", file=sys.stderr)
-        found["delay_sets"][n] = float(
-            np.median(list(each(delay_sets, [(n, seed) for seed in range(3 * runs)])))
-        )
+        for name in DELAYED:
+            delays = list(each(delay_sets, [(name, n, seed) for seed in range(3 * runs)]))
+            found["delay_sets"][f"{name}, n = {n}"] = float(np.median(delays))
     for fault in BAD:
         found["named"][fault] = float(
             np.mean(list(each(named, [(fault, 48, seed) for seed in range(5 * runs)])))
@@ -117,8 +118,8 @@ def main() -> None:
     for name, told in found["healthy"].items():
         rates = f"{told['default']:9.3f}{told['f_predictive']:8.3f}{told['paper_mean_3sd']:8.2f}"
         print(f"{name:24}{rates}      {told['alarms']:8.2f}            {100 * told['not promised']:6.0f} %")
-    for n, sets in found["delay_sets"].items():
-        print(f"a ramp of {RAMP_SD:g} SD in {RAMP_SETS} sets, n = {n}: alarm after {sets:.0f} sets (median)")
+    for name, sets in found["delay_sets"].items():
+        print(f"a ramp of {RAMP_SD:g} SD in {RAMP_SETS} sets, {name}: alarm after {sets:.0f} sets (median)")
     for fault, share in found["named"].items():
         print(f"baseline of 48 sets, {fault}: named in {100 * share:.1f} %")
 

@@ -2,8 +2,8 @@
 
 Each set is freed of what it owes to the one before (`directions`), whitened, cut back to the radius that a
 healthy set passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The
-limit keeps to a budget of false alarms. A short baseline cannot show slow memory: there it is taken to be
-larger. Whatever linear mixture of them the features are, the chart is the same.
+limit keeps to a budget of false alarms. A short baseline cannot show slow memory: it is taken to be larger
+than found. Whatever linear mixture of them the features are, the chart is the same.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from analysis.waves.record_reduction import FloatArray
 
 CAP_RATE = 0.01
 ENOUGH_SETS = 150
-"""Fewer cannot show a memory of tens of sets: no rate is promised, and memory is taken to be larger."""
-WIDENED_BY, LITTLE_WIDENED_BY = 3.5, 2.0
-"""Standard errors of the memory that are added to it: chosen by simulation of features of unequal memory, to
-keep the budget (`benchmarks/false_alarms.py`)."""
+"""Fewer cannot show a memory of tens of sets: no rate is promised."""
+WIDENED_BY = 3.0
+"""Standard errors by which memory is taken to be larger: chosen by simulation of features of unequal memory,
+to keep the budget (`benchmarks/false_alarms.py`)."""
 SLOW_RATE = 0.015
 """Chance that a healthy baseline of independent sets is said to have a trend, or to wander."""
 BLOCKS = 10
@@ -120,7 +120,7 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
     x = np.asarray(baseline, dtype=np.float64)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
     found = directions_of(x)
-    phi = np.maximum(widened_phi(found, n), least_phi)
+    phi = np.maximum(widened_phi(found), least_phi)
     return with_memory(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
@@ -143,10 +143,15 @@ def with_memory(baseline: FloatArray, directions: FloatArray, phi: FloatArray, l
     )
 
 
-def widened_phi(found: Directions, n: int) -> FloatArray:
-    """Return memory somewhat larger than found, more so where the sets are few."""
-    errors = WIDENED_BY if n < ENOUGH_SETS else LITTLE_WIDENED_BY
-    return np.asarray(np.minimum(found.guarded + errors * found.error, LARGEST_PHI))
+def widened_phi(found: Directions) -> FloatArray:
+    """Return memory somewhat larger than found, more so where the sets are few.
+
+    artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which memory widens what slow averages scatter
+    by: that factor is taken to be larger by one part for all directions. Standard errors of phi itself would
+    take out more where there is much memory, though there the most of several is found too large anyway.
+    """
+    steps = np.arctanh(found.guarded) + WIDENED_BY * found.error
+    return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))
 
 
 def unshown_memory(baseline: ArrayLike) -> str:

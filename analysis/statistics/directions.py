@@ -9,6 +9,7 @@ Technical report 6, Department of Statistics, Stanford University.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,13 +37,13 @@ class Directions:
     guarded
         The same, and at least what averages over the sets see of slower memory.
     error
-        Standard error of both, shape (p,).
+        Standard error of artanh phi for sets that hardly remember; less where all directions are alike.
     """
 
     matrix: FloatArray
     phi: FloatArray
     guarded: FloatArray
-    error: FloatArray
+    error: float
 
 
 def directions_of(vectors: ArrayLike) -> Directions:
@@ -76,7 +77,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
         matrix=whitening @ turn,
         phi=phi,
         guarded=guarded,
-        error=np.sqrt((1.0 - guarded**2) / n * (true_part + 1.0 / p)),
+        error=math.sqrt((true_part + 1.0 / p) / n),
     )
 
 

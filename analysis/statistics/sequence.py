@@ -160,7 +160,12 @@ def _judged(
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
     if rows.size < MINIMUM_SETS:
-        raise NotEnoughSetsError(_too_few(rows.size, "complete rows"))
+        known = np.isfinite(x[healthy]).sum(axis=0)
+        least = int(known.argmin())
+        raise NotEnoughSetsError(
+            f"{_too_few(rows.size, 'complete rows')}, or leave out {names[least]}, which {known[least]} of "
+            f"{healthy.sum()} have"
+        )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends

@@ -6,6 +6,7 @@ certified, 130 interrupted.
 
 from __future__ import annotations
 
+import math
 import sys
 import traceback
 from collections.abc import Callable
@@ -17,10 +18,21 @@ import click
 
 from daq_service.errors import EXIT_FAULT, EXIT_INTERRUPTED, SolimonError, StorageUnavailableError
 
+
+class _Positive(click.FloatRange):
+    """Above 0 and finite: a range alone lets infinity pass, and nan, which compares with nothing."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is no finite number.", param, ctx)
+        return number
+
+
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 PORT_NUMBER = click.IntRange(0, 65535)
-POSITIVE = click.FloatRange(min=0.0, min_open=True)
+POSITIVE = _Positive(min=0.0, min_open=True)
 
 CONFIG = click.argument("config", required=False, type=FILE)
 DATA_DIR = click.option("--data-dir", type=FOLDER, help="Data folder; default: the configuration's.")

@@ -49,7 +49,7 @@ def run_assess(
         column, equals, value = baseline_where.partition("=")
         if not (column and equals):
             raise UsageError(f"--baseline-where is {baseline_where!r}; it must be COLUMN=VALUE")
-        where = (column, value)
+        where = (column.strip(), value.strip())
     read = partial(
         read_table,
         features=tuple(name.strip() for name in (features or "").split(",") if name.strip()),
@@ -126,6 +126,8 @@ def sensor(
     told["features_dropped"] = list(found.features_dropped)
     if found.refused is not None:
         return told | _nothing(with_rows=with_rows)
+    if table.in_baseline[-1]:
+        click.echo(f"{path}: the last of {len(table.vectors)} rows is baseline: nothing is judged", err=True)
     told |= {
         "n": found.n,
         "n_eff": found.n_eff,

@@ -185,7 +185,8 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
         )
     except RecordError as error:
         raise UsageError(
-            f"{where}: {error} (--rate-hz, --pretrigger-s, --isw-fwhm-s say what it is)"
+            f"{where}: {error} (--rate-hz, --pretrigger-s, --isw-fwhm-s say what it is; "
+            "a row of a table is a record, not a sample)"
         ) from error
 
 

@@ -95,8 +95,8 @@ def open_records(path: Path, told: Told) -> RecordFile:
 def _npy(path: Path, told: Told) -> RecordFile:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise UsageError(f"{path} is no .npy file of numbers: {error}") from error
+    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
     if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise UsageError(f"{path}: {what}; it must be numbers, records x samples, or one record")
@@ -122,10 +122,10 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
     def records(every: int) -> Iterator[Record]:
         for number, line in list(enumerate(lines))[::every]:
-            values = np.array([float(cell) if _is_number(cell) else np.nan for cell in _cells(line)])
-            if np.isnan(values).all():
+            cells = _cells(line)
+            if not any(map(_is_number, cells)):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r}; a row is a record of numbers")
-            yield scaled(values)
+            yield scaled(np.array([float(cell) if _is_number(cell) else np.nan for cell in cells]))
 
     return RecordFile(n=len(lines), records=records)
 

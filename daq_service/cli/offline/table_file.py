@@ -80,12 +80,19 @@ def read_table(
                 raise UsageError(f"{path}: column {name!r} holds {_no_number(columns[name])!r}, no number")
     kept = {name: column for name, column in numbers.items() if column is not None}
     if not kept:
-        raise NoTableError(f"{path}: no column of numbers; it has {_listed(columns)}")
+        first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
+        raise NoTableError(
+            f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
+            "decimal point, or a comma where semicolons or tabs separate"
+        )
     vectors = np.stack(list(kept.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
         healthy = _equal(columns[baseline_where[0]], baseline_where[1])
+        if not healthy.any():
+            there = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
+            raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {there}")
     return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy)
 
 
@@ -102,7 +109,7 @@ def _columns(path: Path) -> dict[str, Any]:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1 or not 0 < max(lengths) <= MOST_ROWS:
         rows = max(lengths, default=0)
-        raise NoTableError(f"{path}: {rows} rows; a table has a row a set, at most {MOST_ROWS:,}")
+        raise NoTableError(f"{path}: {rows} rows; a table has a row a set, 1 to {MOST_ROWS:,} of them")
     return columns
 
 
@@ -121,14 +128,20 @@ def _of_csv(path: Path) -> dict[str, Any]:
     numbered = [str(k) for k in range(len(header))]
     if header != numbered and all(_is_number(cell.replace(",", ".")) for cell in header):
         header, body = numbered, [[cell.replace(",", ".") for cell in header], *body]  # no names
-    if len({*header} - {""}) < len(header) - header.count(""):
-        raise NoTableError(
-            f"{path}: the first line must name each column once; it is {','.join(header)[:80]!r}"
-        )
+    _require_names_once(path, header)
     for number, row in enumerate(body):
         if len(row) != len(header):
-            raise NoTableError(f"{path}: row {number} has {len(row)} cells, the first line {len(header)}")
+            raise NoTableError(
+                f"{path}: row {number} has {len(row)} cells, the first line {len(header)}: leave a cell "
+                "empty where a value is missing, and separate by semicolons or tabs where a comma is decimal"
+            )
     return {name: [row[k] for row in body] for k, name in enumerate(header)}
+
+
+def _require_names_once(path: Path, names: Sequence[str]) -> None:
+    named = [name for name in names if name]
+    if len(set(named)) < len(named):
+        raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
 def _of_parquet(path: Path) -> dict[str, Any]:
@@ -138,9 +151,10 @@ def _of_parquet(path: Path) -> dict[str, Any]:
     from pyarrow import parquet
 
     try:
-        table = parquet.read_table(path)
+        table = parquet.ParquetFile(path).read()
     except arrow.ArrowInvalid as error:
         raise NoTableError(f"{path} is no Parquet file: {error}") from error
+    _require_names_once(path, table.column_names)
     numbers = (arrow.types.is_floating, arrow.types.is_integer)
     return {
         name: column.to_numpy() if any(kind(column.type) for kind in numbers) else column.to_pylist()
@@ -163,12 +177,16 @@ def _numbers(column: Any) -> NDArray[np.float64] | None:
     """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64)
-    told = [None if isinstance(cell, str) and cell.strip().lower() in MISSING else cell for cell in column]
+    told = [None if _is_missing(cell) else cell for cell in column]
     values = [_number(cell) for cell in told]
     strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
     if 2 * strange > len(told) - told.count(None):
         return None
     return np.array([np.nan if value is None else value for value in values])
+
+
+def _is_missing(cell: Any) -> bool:
+    return cell is None or (isinstance(cell, str) and cell.strip().lower() in MISSING)
 
 
 def _number(cell: Any) -> float | None:
@@ -185,7 +203,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _no_number(column: Sequence[Any]) -> Any:
-    return next(cell for cell in column if cell is not None and _number(cell) is None)
+    return next(cell for cell in column if not _is_missing(cell) and _number(cell) is None)
 
 
 def _equal(column: Any, value: str) -> NDArray[np.bool_]:
@@ -194,7 +212,7 @@ def _equal(column: Any, value: str) -> NDArray[np.bool_]:
     numbers = _numbers(column)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
-    return np.array([str(cell) == value or str(cell).lower() == value.lower() for cell in column], dtype=bool)
+    return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)
 
 
 def _listed(names: Any) -> str:

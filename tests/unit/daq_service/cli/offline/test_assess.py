@@ -138,9 +138,11 @@ def test_people_are_told_in_words(tables):
     [
         ("a.csv", "", "empty"),
         ("a.csv", "a,b", "0 rows"),
-        ("a.csv", "a,a\n3,4", "name each column once"),
+        ("a.csv", "a,a\n3,4", "each column must be named once; they are 'a,a'"),
         ("a.csv", "a,b\n3", "row 0 has 1 cells, the first line 2"),
-        ("a.csv", "a,b\nx,y", "no column of numbers"),
+        ("a.csv", "a,b\nx,y", "no column of numbers; it has a, b, with 'x', 'y' in row 0"),
+        ("a.csv", 'a,b\n"1,5","2,5"', "with '1,5', '2,5' in row 0: a number has a decimal point"),
+        ("a.csv", "a,b\n1,5,2,5", "row 0 has 4 cells, the first line 2: leave a cell empty"),
         ("a.csv", b"a,b\n\xff\xfe,1", "no CSV file in UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
@@ -153,6 +155,33 @@ def test_a_file_that_is_no_table_is_refused_beside_the_others(tmp_path, tables, 
     assert words in bad["refused"]
     assert set(bad) == set(good) - {"default_because"}
     assert good["refused"] is None
+
+
+def test_a_parquet_file_with_a_name_twice_is_refused(tmp_path, vectors):
+    parquet.write_table(pa.table(list(vectors[:, :2].T), names=["a", "a"]), tmp_path / "a.parquet")
+    (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 20)
+    assert bad["refused"].endswith("a.parquet: each column must be named once; they are 'a,a'")
+
+
+def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it(tmp_path, vectors):
+    text = "\n".join(["a,b,c", *(f"{a},{b}," for a, b, *_ in vectors.tolist())])
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    assert bad["refused"].startswith("0 complete rows in the baseline; at least 15 are needed")
+    assert bad["refused"].endswith("leave out c, which 0 of 40 have")
+
+
+def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
+    (bad,) = told(tables[".csv"], "--baseline-where", "part=good")
+    assert bad["refused"].endswith("no row has part=good; there is healthy, test")
+    (same,) = told(tables[".csv"], "--baseline-where", " part = Healthy ")
+    assert same["n"] == 40
+
+
+def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
+    answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
+    assert json.loads(answer.stdout)["sensors"][0]["n"] == 120
+    assert "the last of 120 rows is baseline: nothing is judged" in answer.stderr
 
 
 @pytest.mark.parametrize(
@@ -220,12 +249,20 @@ def test_arguments_that_say_no_baseline_are_refused(tables):
     assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
 
 
-@pytest.mark.parametrize("budget", ["8766", "1e-9", "nan"])
+@pytest.mark.parametrize("budget", ["8766", "1e-9"])
 def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
     assert f"--budget {float(budget):g} at 24 sets" in refused(
         tables[".csv"], "--baseline-rows", 40, "--budget", budget
     )
     assert told(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
+
+
+@pytest.mark.parametrize("option", ["--budget", "--sets-per-day"])
+@pytest.mark.parametrize("value", ["nan", "inf", "0"])
+def test_numbers_that_are_none_are_refused_before_anything_is_read(option, value):
+    answer = CliRunner().invoke(cli, ["assess", "none.csv", "--baseline-rows", "40", option, value])
+    assert answer.exit_code == 2
+    assert f"Invalid value for '{option}'" in answer.stderr
 
 
 def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):

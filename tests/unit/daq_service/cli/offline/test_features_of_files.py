@@ -141,6 +141,26 @@ def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_on
     assert rows[7]["tof_mf_s"] is None
 
 
+def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
+    values = volts(n=3)
+    values[1] = np.nan
+    np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f")
+    assert [row["flags"] for row in told(tmp_path / "records.csv")] == [[], ["disturbed"], []]
+    (tmp_path / "words.csv").write_text("a,b\nno,numbers", encoding="utf-8")
+    assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
+
+
+def test_a_table_of_samples_in_rows_is_told_to_have_records_in_rows(tmp_path):
+    assert "a row of a table is a record, not a sample" in refused(saved(tmp_path, volts(n=2).T))
+
+
+@pytest.mark.parametrize("option", ["--rate-hz", "--pretrigger-s", "--volts-per-count", "--isw-fwhm-s"])
+def test_numbers_that_are_not_finite_are_refused(option):
+    answer = CliRunner().invoke(cli, ["features", "none.npy", option, "nan"])
+    assert answer.exit_code == 2
+    assert f"Invalid value for '{option}': nan is no finite number" in answer.stderr
+
+
 def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
     bad = tmp_path / "bad.npy"
     bad.write_bytes(b"hello")
@@ -149,7 +169,7 @@ def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
     found = json.loads(answer.stdout)
     assert [row["file"] for row in found["records"]] == [str(good)] * 2
     assert [one["file"] for one in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
-    assert "no .npy file" in found["refused"][0]["reason"]
+    assert found["refused"][0]["reason"].endswith("no .npy file of numbers, records x samples")
     assert isinstance(answer.exception, UsageError)
 
 
