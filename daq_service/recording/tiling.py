@@ -117,7 +117,8 @@ class Tiling:
                 return
             self._take_back(self._running)
             self._running = None
-        if self._has_room() and free_s > QUIET_S and self._mono_s() >= self._next_s:
+        free = free_s > QUIET_S and not self._compaction.waits
+        if free and self._has_room() and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             self._begin(self._of_the_round())
 

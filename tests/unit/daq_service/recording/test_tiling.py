@@ -34,7 +34,7 @@ class Line:
     """A folder with some sets, and what adds them to tiles on a clock of its own."""
 
     def __init__(self, folder):
-        self.folder, self.now_s, self.room = folder, 0.0, True
+        self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
         self.archive = FolderArchive(folder, journal=True)
         self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
         self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
@@ -46,7 +46,7 @@ class Line:
             "ab/1",
             self.compaction,
             lambda: self.files,
-            lambda set_index: RESULTS,
+            lambda set_index: self.read.append(set_index) or RESULTS,
             has_room=lambda: self.room,
             mono_s=lambda: self.now_s,
         )
@@ -104,6 +104,14 @@ def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
     line.now_s += EVERY_S
     line.work(free_s=QUIET_S + 1)
     assert line.kept() == list(line.files)
+
+
+def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
+    line.compaction.put(SET_INDEX)
+    assert line.compaction.waits
+    line.read.clear()
+    line.work(free_s=QUIET_S + 1)
+    assert line.read == []
 
 
 def test_a_damaged_tile_is_made_again_in_the_next_round(line):
