@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq_service.clock import boot_name
-from daq_service.processes.data_folder import is_owned
+from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text
 from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
 
 Word = Literal["running", "finished", "stopped", "silent", "absent"]
@@ -87,7 +87,7 @@ def recorder_state(
 
 def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool, began: bool) -> str:
     if beat is None and runs:
-        return "running; its heartbeat cannot be read"
+        return "running; no heartbeat of it can be read yet"
     if beat is None:
         gone = "not running: it left without a word, and its heartbeat cannot be read"
         return gone if began else "never started here"
@@ -106,10 +106,15 @@ def look_at_recorder(folder: Path, kinds: Sequence[str]) -> RecorderState:
             "stores it when the folder is back: bring it back"
         )
         return RecorderState(word="silent", description=gone, listens=False, beat=None, beat_age_s=None)
+    beat, owned = read_heartbeat(folder), is_owned(folder)
+    if owned and beat is not None:
+        owner = lock_text(folder, LOCK_FILE).removeprefix("process ")
+        if owner.isdigit() and int(owner) != beat.process:
+            beat = None  # the last one of an earlier recorder: the one that runs has just begun
     return recorder_state(
-        read_heartbeat(folder),
+        beat,
         kinds,
-        owned=is_owned(folder),
+        owned=owned,
         boot=boot_name(),
         mono_ns=time.monotonic_ns(),
     )

@@ -1,7 +1,9 @@
 """How the recorder is: one answer, also after a reboot and with a heartbeat that a power cut tore."""
 
 import json
+import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +17,8 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.errors import BusyError
 from daq_service.orders.give import give_order
-from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage
+from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage, encoded
 from daq_service.processes.recorder_state import Word, look_at_recorder, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
@@ -45,7 +48,7 @@ LATE = "last sign of life 66 s ago while waiting"
         # The lock alone says who runs, the heartbeat whether it moves.
         (True, beat(65.0), "running", "running, waiting"),
         (True, beat(66.0), "silent", f"not answering: {LATE}"),
-        (True, None, "running", "running; its heartbeat cannot be read"),
+        (True, None, "running", "running; no heartbeat of it can be read yet"),
         (True, beat(1.0, boot="another boot"), "running", "running, starting"),
         (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
         (False, beat(66.0), "silent", f"not running: {LATE}"),
@@ -98,7 +101,7 @@ def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
-    assert state(None) == ("running", "running; its heartbeat cannot be read", True)
+    assert state(None) == ("running", "running; no heartbeat of it can be read yet", True)
     # The last beat of the recorder of an earlier boot is none of the one that has the lock now.
     after = state(beat(1.0, stage="ended", boot="another boot"))
     assert after == ("running", "running, starting", True)
@@ -173,8 +176,6 @@ def after_a_reboot_of_an_older_version() -> str:
 
 def after_a_short_boot() -> str:
     """The last beat lies in the past of this boot, too."""
-    import time
-
     now_ns = time.monotonic_ns()
     return as_text(Beat(process=1, mono_ns=now_ns, deadline_s=65.0, doing="waiting", boot="another boot"))
 
@@ -212,6 +213,23 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     assert health["recorder"]["state"] == "silent"
     assert health["recorder"]["description"] in (REBOOTED, GONE)
     assert health["recorder"]["beat_age_s"] is None
+
+
+def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder: Path) -> None:
+    told = ["recorder_stopped"]
+    now_ns = time.monotonic_ns()
+
+    def look(process: int) -> tuple[Word, str]:
+        last = Beat(
+            process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
+        )
+        (folder / FILE_NAME).write_bytes(encoded(last))
+        state = look_at_recorder(folder, told)
+        return state.word, state.description
+
+    with own_data_folder(folder):
+        assert look(os.getpid())[0] == "stopped"
+        assert look(os.getpid() + 1) == ("running", "running; no heartbeat of it can be read yet")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows renames no folder in which files are open")
