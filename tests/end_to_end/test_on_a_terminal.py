@@ -31,6 +31,10 @@ QUICK = {
     "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5",
     "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
     "SOLIMON_ALARMS__HOLE_SHOTS": "4",
+    # However full this machine's volume is.
+    "SOLIMON_STORAGE__WARN_FREE_FRACTION": "0",
+    "SOLIMON_STORAGE__ALARM_FREE_FRACTION": "0",
+    "SOLIMON_STORAGE__STOP_FREE_FRACTION": "0",
 }
 MASKS = (
     (r"http://127\.0\.0\.1:\d+/", "<address>"),

@@ -283,16 +283,20 @@ def test_a_program_that_is_not_there_or_fails_is_no_answer() -> None:
 # Folder ---------------------------------------------------------------------------------------------
 
 
+AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_fraction"), 0.0)
+"""However full this machine's volume is."""
+
+
 def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
-    checks = by_name(storage_checks(Settings(), folder))
+    checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
     assert {one.state for one in checks.values()} == {"ok"}
     assert "to be made" in checks["data folder: writable"].found
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
 
 
 def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Path) -> None:
-    settings = small_settings(schedule={"end_h": 1.0})
+    settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
     assert run(settings, tmp_path)
     checks = by_name(storage_checks(settings, tmp_path))
     assert {one.state for one in checks.values()} == {"ok"}
