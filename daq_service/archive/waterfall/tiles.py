@@ -178,7 +178,8 @@ class Tiles:
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
         path = self._path(level, number // ROWS_OF_A_TILE)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.parent.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("r+b" if path.exists() else "x+b") as file:
             if file.read(_HEADER_BYTES) != _header(self):
                 # New, torn, or of something else: nothing of it is ours.
