@@ -101,6 +101,19 @@ def test_what_follows_the_reflected_wave_may_scatter():
     assert judged([clean(1, k, ssw_delay_s=delay_s)[0] for k, delay_s in enumerate(delays_s)]) == [()] * 10
 
 
+def test_what_follows_the_reflected_wave_may_scatter_widely():
+    """Height by half and arrival by 20 us: one shot of such a set is no odd one because it looks like a cut."""
+    parts = np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6])
+    random = np.random.default_rng(0)
+    heights = SCENE.ssw_fraction * np.exp(0.5 * random.permutation(parts))
+    delays_s = SCENE.ssw_delay_s + 20e-6 * random.permutation(parts)
+    shots = [
+        clean(1, k, ssw_fraction=height, ssw_delay_s=delay_s)[0]
+        for k, (height, delay_s) in enumerate(zip(heights, delays_s, strict=True))
+    ]
+    assert judged(shots) == [()] * 10
+
+
 # A lower wave, and one that comes 20 us earlier: a cut of 40 us explains a part of it.
 @pytest.mark.parametrize("change", [{"ssw_fraction": 0.04}, {"ssw_delay_s": 150e-6}])
 def test_another_wave_behind_the_reflected_one_is_no_cut(change):

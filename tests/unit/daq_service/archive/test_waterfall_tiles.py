@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,6 +246,20 @@ def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
     stored.keep(tmp_path)
     picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
     assert (max(picture.peaks), stored.n_read) == (np.float32(spike), before + 1)
+
+
+def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
+    """A disk that refuses new folders costs no tile in those that it has."""
+    tile = copied / TILES_FOLDER / "B" / "first" / "0001-000000.tile"
+    whole = tile.read_bytes()
+    tile.unlink()
+
+    def refused(path, *args, **kwargs):
+        raise PermissionError(13, "refused", str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    stored.keep(copied)
+    assert tile.read_bytes() == whole
 
 
 def test_in_whatever_order_sets_are_kept_the_tiles_are_the_same(kept, tmp_path, stored):
