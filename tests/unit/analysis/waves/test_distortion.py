@@ -102,7 +102,7 @@ def test_what_follows_the_reflected_wave_may_scatter():
 
 
 def test_what_follows_the_reflected_wave_may_scatter_widely():
-    """Height by half and arrival by 20 us: one shot of such a set is no odd one because it looks like a cut."""
+    """Height by half and arrival by 20 us: no shot of such a set is odd because it looks like a cut."""
     parts = np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6])
     random = np.random.default_rng(0)
     heights = SCENE.ssw_fraction * np.exp(0.5 * random.permutation(parts))
