@@ -54,6 +54,9 @@ class Condition:
     ----------
     times_limit
         The measured quantity as a multiple of its limit, above 1 beyond it; None: it has none, or none now.
+    known
+        What is known for sure of its cause now, where that is as grave as was feared or graver: told once,
+        however long the alarm has stood.
     """
 
     position: str | None
@@ -64,6 +67,7 @@ class Condition:
     message: str
     latched: bool = False
     times_limit: float | None = None
+    known: str = ""
     proof: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -116,15 +120,16 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
         return None
     if condition.present:
         if row.state == "returned_unacknowledged":
-            return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None)
-        if SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity):
+            told = _as_told(row, condition)
+            return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None, **told)
+        graver = SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity)
+        if graver or condition.known not in ("", row.proof.get("known")):
             return _to(
                 row,
                 "unacknowledged",
                 moment,
                 "alarm_worsened",
-                severity=condition.severity,
-                message=condition.message,
+                **_as_told(row, condition),
                 # It was shelved for what was known then.
                 **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
@@ -282,8 +287,18 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
         raised_set_index=moment.set_index,
         changed_utc_ns=moment.utc_ns,
         message=condition.message,
-        proof=dict(condition.proof),
+        proof=_proof(condition),
     )
+
+
+def _as_told(row: AlarmRow, condition: Condition) -> dict[str, Any]:
+    """Give an alarm that is there already what is known of it now."""
+    severity = max(row.severity, condition.severity, key=SEVERITIES.index)
+    return {"severity": severity, "message": condition.message, "proof": _proof(condition)}
+
+
+def _proof(condition: Condition) -> dict[str, Any]:
+    return dict(condition.proof) | ({"known": condition.known} if condition.known else {})
 
 
 def _to(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from analysis.statistics.rules import MINIMUM_SETS
 
 NOT_THE_WALL = frozenset({SENSOR, COUPLING, ENVIRONMENT})
 """A change that surely comes from one of these is no alarm of the wall."""
+ASKED_TWICE = frozenset({WALL, COUPLING})
+"""Causes that two sets running or a confirmation set have named."""
 
 Values = Mapping[str, float | None]
 
@@ -51,6 +54,42 @@ ABRUPT = (
 """In place of `CANNOT_TELL` where a step is likelier than not."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where the change of a transducer comes from, as its alarm tells it.
+
+    Attributes
+    ----------
+    elsewhere
+        From one of `NOT_THE_WALL`.
+    otherwise
+        Sets running whose cause says otherwise.
+    """
+
+    elsewhere: bool = False
+    otherwise: int = 0
+
+
+def next_origin(before: Origin, cause: str, *, stood: bool, n: int) -> Origin:
+    """Take in the cause of one more set, so that no alarm changes its kind with each set of an unsure cause.
+
+    Parameters
+    ----------
+    stood
+        An alarm of the change stood before this set: then only what was asked twice, or n sets running,
+        make it another one, and `OK` says nothing.
+    """
+    if stood and cause == OK:
+        return before
+    says = cause in NOT_THE_WALL
+    if says == before.elsewhere:
+        return Origin(elsewhere=says)
+    otherwise = before.otherwise + 1
+    if not stood or cause in ASKED_TWICE or otherwise >= n:
+        return Origin(elsewhere=says)
+    return replace(before, otherwise=otherwise)
+
+
 def averages_of(memory: Recollection) -> dict[str, list[float]]:
     """Give what is remembered as averages by name, beside those of the charts."""
     changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
@@ -66,6 +105,7 @@ def averages_of(memory: Recollection) -> dict[str, list[float]]:
 
 
 _COUNT, _PLACE, _BESIDE, _MOVED = "changes_count", "changes_place", "changes_beside", "changes_moved"
+_ORIGIN = "origin"
 _NAMES = tuple(f"changes_{rate:g}" for rate in RATES)
 
 
@@ -87,6 +127,19 @@ def recollection_of(averages: Mapping[str, Sequence[float]]) -> Recollection | N
         beside_ago=beside_ago,
         moved=tuple(averages.get(_MOVED, ())),
     )
+
+
+def kept_origin(origin: Origin) -> dict[str, list[float]]:
+    """Give what is kept of it, beside the averages."""
+    return {_ORIGIN: [float(origin.elsewhere), float(origin.otherwise)]}
+
+
+def origin_of(averages: Mapping[str, Sequence[float]], cause: str) -> Origin:
+    """Give back what `kept_origin` gave; an earlier version kept none, and went by the last cause."""
+    if _ORIGIN not in averages:
+        return Origin(elsewhere=cause in NOT_THE_WALL)
+    elsewhere, otherwise = averages[_ORIGIN]
+    return Origin(elsewhere=bool(elsewhere), otherwise=int(otherwise))
 
 
 def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> CauseDesign | None:

@@ -28,7 +28,14 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
-from daq_service.judgement.cause import averages_of, cause_confirmed, recollection_of, told_of
+from daq_service.judgement.cause import (
+    averages_of,
+    cause_confirmed,
+    kept_origin,
+    origin_of,
+    recollection_of,
+    told_of,
+)
 from daq_service.judgement.confirmation import confirms, suspicion
 from daq_service.judgement.life import AUTOMATIC, Planned
 from daq_service.judgement.readiness import readiness_of
@@ -371,12 +378,14 @@ def _stored(found: SetOfShots, row: VerdictRow | None) -> Verdict | None:
             alarming=bool(row.chart_alarm),
         )
         recollection = recollection_of(row.averages)
+    origin = None if row.cause is None else origin_of(row.averages or {}, row.cause)
     return Verdict(
         outlier=row.outlier,
         outlier_paper=row.outlier_paper,
         reason=row.reason,
         memory=memory,
         recollection=recollection,
+        origin=origin,
     )
 
 
@@ -384,7 +393,8 @@ def _averages(verdict: Verdict) -> dict[str, list[float]] | None:
     """Give everything that is remembered as averages, by name."""
     of_charts = {} if verdict.memory is None else verdict.memory.averages
     kept = {name: list(average) for name, average in of_charts.items()}
-    return kept | ({} if verdict.recollection is None else averages_of(verdict.recollection)) or None
+    kept |= {} if verdict.recollection is None else averages_of(verdict.recollection)
+    return kept | ({} if verdict.origin is None else kept_origin(verdict.origin)) or None
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:

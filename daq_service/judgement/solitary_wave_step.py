@@ -31,7 +31,8 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.judgement.cause import cause_after, design_of_causes
+from daq_service.judgement.cause import Origin, cause_after, design_of_causes, next_origin
+from daq_service.judgement.confirmation import alarms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,6 +152,8 @@ class State:
         What the charts remember; None: they have not begun, or there are none.
     recollection
         What the causes are told by.
+    origin
+        Where the change comes from that has an alarm, or would have.
     poor_sets
         Sets running with too few valid shots.
     judged
@@ -163,6 +166,7 @@ class State:
     alarm: AlarmState = field(default_factory=AlarmState)
     memory: Memory | None = None
     recollection: Recollection = field(default_factory=Recollection)
+    origin: Origin = field(default_factory=Origin)
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
     judged: tuple[JudgedSet, ...] = ()
@@ -182,8 +186,8 @@ class Verdict:
         Everything that limits bound, by name; empty: not judged.
     memory
         What the charts remember after it; None: it was not judged by them.
-    cause, recollection
-        What the change comes from, and what is remembered for it; None: no cause was sought.
+    cause, recollection, origin
+        What the change comes from, what is remembered for it, and whose alarm it is; None: none was sought.
     """
 
     in_baseline: bool = False
@@ -196,6 +200,7 @@ class Verdict:
     memory: Memory | None = None
     cause: CauseVerdict | None = None
     recollection: Recollection | None = None
+    origin: Origin | None = None
 
 
 def step(
@@ -242,7 +247,7 @@ def step(
     verdict = stored or _judged(found, state, state.baseline, rules)
     alarm = next_alarm_state(state.alarm, verdict.outlier, rules.alarm)
     if stored is None:
-        verdict = _with_cause(verdict, found, state, suspicious=alarm.active)
+        verdict = _with_cause(verdict, found, state, rules, suspicious=alarm.active)
     vector = found.vector()
     if verdict.outlier is not None and vector is not None:
         last = JudgedSet(vector=vector, outlier=verdict.outlier)
@@ -252,10 +257,13 @@ def step(
         alarm=alarm,
         memory=verdict.memory or state.memory,
         recollection=verdict.recollection or state.recollection,
+        origin=verdict.origin or state.origin,
     ), verdict
 
 
-def _with_cause(verdict: Verdict, found: SetOfShots, state: State, *, suspicious: bool) -> Verdict:
+def _with_cause(
+    verdict: Verdict, found: SetOfShots, state: State, rules: Rules, *, suspicious: bool
+) -> Verdict:
     design = None if state.baseline is None else state.baseline.causes
     if design is None or verdict.memory is None:
         return verdict
@@ -263,7 +271,10 @@ def _with_cause(verdict: Verdict, found: SetOfShots, state: State, *, suspicious
     recollection, cause = cause_after(
         state.recollection, design, found.set_index, found.values, suspicious=suspicious
     )
-    return replace(verdict, cause=cause, recollection=recollection)
+    if cause is None:
+        return replace(verdict, recollection=recollection)
+    origin = next_origin(state.origin, cause.cause, stood=alarms(state, rules), n=rules.alarm.n)
+    return replace(verdict, cause=cause, recollection=recollection, origin=origin)
 
 
 def reinstated(state: State) -> State:
@@ -309,6 +320,7 @@ def _frozen(state: State, rules: Rules) -> State:
         ),
         memory=at_the_end_of(fitted, vectors[-1]),
         recollection=Recollection(),
+        origin=Origin(),
     )
 
 

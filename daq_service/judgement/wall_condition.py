@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from analysis.causes.hypotheses import WALL
 from analysis.statistics.design import Design, parts_of
 from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
 from daq_service.catalogue.rows import VerdictRow
-from daq_service.judgement.cause import NOT_THE_WALL, said
+from daq_service.judgement.cause import said
 from daq_service.judgement.confirmation import alarms
 from daq_service.judgement.solitary_wave_step import Rules, State
 from daq_service.judgement.stored_limits import limits_by_name, statistic_of
@@ -35,7 +36,7 @@ def wall_conditions(position: str, state: State, rules: Rules, verdict: VerdictR
     """Say it after a set; ``verdict`` is that set's row.
 
     A change that surely comes from elsewhere is an alarm of the transducer; one whose cause cannot be told is
-    one of the wall.
+    one of the wall (`cause.next_origin`).
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
@@ -43,7 +44,7 @@ def wall_conditions(position: str, state: State, rules: Rules, verdict: VerdictR
     else:
         present, times_limit, message, proof = _by_k_of_n(position, state, rules, verdict)
     message += said(verdict.cause, verdict.cause_probability, verdict.cause_told) or REMEDY
-    elsewhere = verdict.cause in NOT_THE_WALL
+    elsewhere = state.origin.elsewhere
     wall = Condition(
         position=position,
         kind="wall_change",
@@ -51,11 +52,17 @@ def wall_conditions(position: str, state: State, rules: Rules, verdict: VerdictR
         severity="high",
         present=present and not elsewhere,
         times_limit=times_limit,
+        known=WALL if verdict.cause == WALL else "",
         message=message if present else "",
         proof=proof | _of_every_rule(verdict),
     )
     transducer = replace(
-        wall, kind="transducer_change", family="device", severity="medium", present=present and elsewhere
+        wall,
+        kind="transducer_change",
+        known="",
+        family="device",
+        severity="medium",
+        present=present and elsewhere,
     )
     return [wall, transducer]
 

@@ -83,6 +83,31 @@ def test_a_condition_that_returns_asks_for_attention_again() -> None:
     assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_returned")
 
 
+def test_what_returns_says_what_is_known_now() -> None:
+    cleared = update(raised(proof={"limit": 24.3}, severity="medium"), condition(False), moment(4))
+    assert cleared is not None
+    back = condition(True, message="WALL (99 %)", known="wall", proof={"limit": 25.0})
+    again = update(cleared.row, back, moment(5))
+    assert again is not None
+    assert (again.row.message, again.row.severity) == ("WALL (99 %)", "high")
+    assert again.row.proof == {"limit": 25.0, "known": "wall"}
+
+
+@pytest.mark.parametrize("state", ["unacknowledged", "acknowledged"])
+def test_a_standing_alarm_tells_once_what_it_has_turned_out_to_be(state: AlarmState) -> None:
+    row = replace(raised(proof={"cause": "cannot tell"}), state=state, suppressed="shelved")
+    named = condition(True, message="WALL (99 %)", known="wall", proof={"cause": "wall"})
+    change = update(row, named, moment(9))
+    assert change is not None
+    assert (change.event_kind, change.row.state) == ("alarm_worsened", "unacknowledged")
+    assert (change.row.message, change.row.proof["cause"]) == ("WALL (99 %)", "wall")
+    assert change.row.suppressed is None, "it was shelved for what was known then"
+    # Neither again, nor where it is unsure again for a while.
+    for later in (named, condition(True), named):
+        assert update(change.row, later, moment(10)) is None
+    assert update(raised(known="wall"), named, moment(10)) is None, "it was known when it was raised"
+
+
 def test_a_closed_alarm_stays_in_the_history() -> None:
     closed = replace(raised(), state="normal")
     change = update(closed, condition(True), moment(9))

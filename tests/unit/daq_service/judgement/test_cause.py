@@ -6,16 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.causes.hypotheses import COUPLING, OK, SENSOR, WALL
+from analysis.causes.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.causes.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.causes.verdict import CANNOT_TELL
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.proof import evidence
 from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement import solitary_wave_step
 from daq_service.judgement.cause import (
+    Origin,
     averages_of,
     cause_after,
     cause_confirmed,
+    kept_origin,
+    next_origin,
+    origin_of,
     recollection_of,
     said,
     told_of,
@@ -106,8 +111,65 @@ def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
             assert any("What to do:" in sentence for sentence in evidence(one.kind, one.proof))
 
 
+def origins(causes, n=5):
+    """Say after each set whether a change comes from elsewhere; it stands from the fourth one on."""
+    origin, told = Origin(), ""
+    for number, cause in enumerate(causes):
+        origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)
+        told += "e" if origin.elsewhere else "w"
+    return told
+
+
+KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": CANNOT_TELL, "o": OK}
+
+
+@pytest.mark.parametrize(
+    ("causes", "told"),
+    [
+        # Before it stands each set says it.
+        ("?S?", "wew"),
+        # An unsure cause changes no alarm's kind, five sets running do.
+        ("?SSS?S??S????S", "weeeeeeeeeeeee"),
+        ("?SSS????SE?????", "weeeeeeeeeeeeew"),
+        ("????SSSS?SSESSS", "wwwwwwwwwwwwwee"),
+        # What was asked twice does at once; a healthy set says nothing of a change that stands.
+        ("?SSSW", "weeew"),
+        ("????C?C??", "wwwweeeee"),
+        ("?SSSoooooo", "weeeeeeeee"),
+    ],
+)
+def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, told):
+    assert origins(causes) == told
+
+
+def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
+    stood = []
+
+    def noted(before, cause, **how):
+        stood.append(how["stood"])
+        return next_origin(before, cause, **how)
+
+    monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
+    state, before = State(), []
+    for one in sets(CHANGES[SENSOR]):
+        before.append(state.alarm.active)
+        state, _ = step(state, one, RULES)
+    assert stood == before[LAST + 1 :]
+    assert {True, False} == set(stood)
+    assert state.origin == Origin(elsewhere=True)
+
+
+def test_a_restart_knows_where_a_change_comes_from():
+    kept = json.loads(json.dumps(kept_origin(Origin(elsewhere=True, otherwise=3))))
+    assert origin_of(kept, CANNOT_TELL) == Origin(elsewhere=True, otherwise=3)
+    # An earlier version kept none.
+    assert origin_of({}, SENSOR) == Origin(elsewhere=True)
+    assert origin_of({}, CANNOT_TELL) == Origin()
+
+
 def test_what_cannot_be_told_is_an_alarm_of_the_wall():
     state, verdict = run(CHANGES[SENSOR])
+    state = replace(state, origin=Origin())
     row = replace(row_of(verdict), cause=CANNOT_TELL)
     assert [one.present for one in wall_conditions("B", state, RULES, row)] == [True, False]
     # Without a cause, as of a folder of an earlier version, the message is as it was.
