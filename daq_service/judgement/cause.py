@@ -49,7 +49,7 @@ SENTENCES: Mapping[str, tuple[str, str]] = {
 """By cause: what is seen, and what to do."""
 ABRUPT = (
     "something has changed from one set to the next",
-    "abrupt: inspect the contact; a wall does not jump",
+    "abrupt: inspect the contact first; where it sits well, treat it as the wall",
 )
 """In place of `CANNOT_TELL` where a step is likelier than not."""
 
