@@ -375,13 +375,16 @@ def _second_reflection(
     """Whether the wall sends back a second strike, too, whose own wave the first one's reflection hides.
 
     It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
-    the second strike than the first.
+    the second strike than the first: that is where the PSW hides it, so by about its time of flight.
     """
     tof_s = psw.matched_time_s - isw.matched_time_s
     if tof_s > settings.second_reflection_latest_tof_s:
         return False
-    first = record.index(psw.matched_time_s + settings.second_reflection_earliest_s)
-    last = record.index(psw.matched_time_s + settings.second_reflection_latest_s)
+    from_tof_s = settings.second_reflection_from_tof_s
+    earliest_s = max(settings.second_reflection_earliest_s, tof_s - from_tof_s)
+    latest_s = min(settings.second_reflection_latest_s, tof_s + from_tof_s)
+    first = record.index(psw.matched_time_s + earliest_s)
+    last = record.index(psw.matched_time_s + latest_s)
     highest = max((float(record.matched_v[k]) for k in maxima if first <= k <= last), default=0.0)
     # The second wave may stand on the PSW: no more of it counts than a plate sends back.
     reflected_v = min(psw.amplitude_v, settings.highest_reflection_fraction * isw.amplitude_v)
