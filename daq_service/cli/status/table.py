@@ -187,6 +187,9 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     told = []
     if distance is not None:
         told.append(f"D² {distance:.1f}" if distance < LARGEST_IN_FULL else f"D² {distance:.1e}")
+    if judged is not None and (chart := row["chart"]) is not None:
+        told.append(f"chart {chart['statistic']:.1f}")
+        limit += f"; chart decides: {chart['limit']:.1f}"
     if feature["tof_pp_s"] is not None:
         told.append(f"ToF {1e6 * feature['tof_pp_s']:.1f} us")
     if feature["amplitude_ratio"] is not None:

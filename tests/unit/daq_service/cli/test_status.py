@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.filled_folder import LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
+from support.filled_folder import LIMIT_CHART, LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
 from support.kept_folder import lay_out
 
 from daq_service.archive import FolderSetReader
@@ -77,11 +77,21 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
-    feature, distance = word["last_feature"], word["last_verdict"]["distance_squared"]
+    feature, verdict = word["last_feature"], word["last_verdict"]
+    distance, chart = verdict["distance_squared"], verdict["chart"]
+    assert word["chart"] == {"statistic": chart, "limit": LIMIT_CHART}
+    waves = f"ToF {1e6 * feature['tof_pp_s']:.1f} us, AR {feature['amplitude_ratio']:.3f}"
+    rest = f"good, n = 1  0 s  {SETS - 1} done"
     assert line_of(lines, " B") == (
-        f" B  normal  D² {distance:.1f}, ToF {1e6 * feature['tof_pp_s']:.1f} us, "
-        f"AR {feature['amplitude_ratio']:.3f}  {LIMIT_F}  good, n = 1  0 s  {SETS - 1} done"
+        f" B  normal  D² {distance:.1f}, chart {chart:.1f}, {waves}  "
+        f"{LIMIT_F}; chart decides: {LIMIT_CHART}  {rest}"
     )
+    by_sets = filled.settings.model_copy(
+        update={"alarms": filled.settings.alarms.model_copy(update={"decides_by": "k_of_n"})}
+    )
+    facts_by_sets = describe_status(filled.folder, by_sets)
+    assert facts_by_sets["positions"]["B"]["chart"] is None
+    assert line_of(told(facts_by_sets), " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  {rest}"
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  good  0 s")
 
@@ -90,6 +100,7 @@ def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: Fil
     filled.add_set(SETS, stored=False, judged=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
+    assert "chart" not in row
     assert "ToF" in row
 
 
