@@ -260,7 +260,7 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
             f"<p>{escape(row.message)}</p>",
             f"<p class='note'>{escape(told)}.</p>",
             "<ul>",
-            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row)),
+            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row, contents.baselines)),
             "</ul>",
             table("Proof, as stored", (), proof),
             table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),

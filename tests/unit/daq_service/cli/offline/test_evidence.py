@@ -202,6 +202,7 @@ def test_an_alarm_of_the_wall_comes_out_again_on_a_page_that_needs_nothing_else(
     page, facts = (Path(file).read_text(encoding="utf-8") for file in told["files"])
     assert json.loads(facts) == told
     assert page.count("<svg ") == 3
+    assert "from B-baseline-1, " in told["sentences"][0]
     assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
     for words in ("Set 24 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
         assert words in page
