@@ -7,6 +7,7 @@ does not hold is not said.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow
@@ -30,13 +31,19 @@ INCIDENT: Mapping[str, str] = {
 MOST_FEATURES = 3
 
 
-def proof_sentences(row: AlarmRow) -> list[str]:
-    """Say what was measured, by how much it passes which limit, what contributes most, and when that was."""
+def proof_sentences(row: AlarmRow, baselines: Mapping[int, str] = MappingProxyType({})) -> list[str]:
+    """Say what was measured, by how much it passes which limit, what contributes most, and when that was.
+
+    Parameters
+    ----------
+    baselines
+        Names by the id of their row, which a proof holds; without its name it is "the baseline".
+    """
     with_set = "" if row.raised_set_index is None else f" with set {row.raised_set_index}"
     extractor = row.proof.get("extractor_version")
     by = "" if extractor is None else f"; computed by extractor {extractor}"
     return [
-        *evidence(row.kind, row.proof),
+        *evidence(row.kind, {**row.proof, "baseline": baselines.get(row.proof.get("baseline_id", 0))}),
         f"Raised{with_set} at hour {row.raised_h:.2f} of the test{by}.",
     ]
 
@@ -78,8 +85,7 @@ def _what_it_rests_on(proof: Proof) -> Iterator[str]:
         return
     if told := _known(proof, "set_index", "distance_squared", "limit"):
         set_index, distance, limit = told
-        baseline = proof.get("baseline_id")
-        its = "the baseline" if baseline is None else f"baseline {baseline}"
+        its = proof.get("baseline") or "the baseline"
         yield (
             f"Set {set_index} lies at a squared distance of {_number(distance)} from {its}, "
             f"{_number(distance / limit)} times the limit of {_number(limit)}."

@@ -48,7 +48,9 @@ def order_options(command: Callable[..., None]) -> Callable[..., None]:
     """Options of an order to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
-    return click.option("--note", "--reason", "note", default="", help="Why; a hold needs it.")(command)
+    return click.option("--note", "--reason", "note", default="", help="Why; a hold and a renewal need it.")(
+        command
+    )
 
 
 class _Words(click.Group):
@@ -388,11 +390,25 @@ def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None
     cli.command(kind.replace("_", "-"), help=explanation)(command)
 
 
+REASONS = {
+    "hold": (
+        "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'",
+        "Why is the test held",
+    ),
+    "renew_baseline": (
+        "a baseline is retired for a reason, which stays with it: --reason 'the sensor was coupled anew'",
+        "Why is the baseline retired",
+    ),
+}
+"""What is said where an order lacks the reason that it needs, and what is asked at a terminal."""
+
+
 def _give_order(kind: str, **options: Any) -> None:
-    if kind == "hold" and not options["note"].strip():
+    if kind in REASONS and not options["note"].strip():
+        lacking, question = REASONS[kind]
         if not sys.stdin.isatty():
-            raise click.UsageError("a hold needs a reason, for whoever finds it: --reason 'hands in the rig'")
-        options["note"] = click.prompt("Why is the test held", err=True)
+            raise click.UsageError(lacking)
+        options["note"] = click.prompt(question, err=True)
     from daq_service.orders.give import give_order
 
     sys.exit(give_order(kind, **options))

@@ -6,6 +6,7 @@ The list of limits is imported when it is needed: SciPy comes with it, which is 
 from __future__ import annotations
 
 from daq_service.catalogue.rows import BaselineRow, VerdictRow
+from daq_service.settings.tree import Settings
 
 
 def limits_by_name(row: BaselineRow | VerdictRow) -> dict[str, float]:
@@ -25,3 +26,13 @@ def statistic_of(row: VerdictRow, limit_name: str) -> float | None:
     name = LIMITS[limit_name].of
     columns = {DISTANCE: row.distance_squared, CHART: row.chart}
     return columns[name] if name in columns else (row.statistics or {}).get(name)
+
+
+def deciding_chart(row: VerdictRow | None, settings: Settings) -> tuple[float, float] | None:
+    """Return statistic and limit of the chart where it decides; None: it does not, or not yet."""
+    if row is None or row.chart is None or settings.alarms.decides_by != "chart":
+        return None
+    from analysis.statistics.named_limits import CHART
+
+    limit = limits_by_name(row).get(CHART)
+    return None if limit is None else (row.chart, limit)

@@ -1,4 +1,4 @@
-"""Orders about baselines: a signature, and a successor after a repair, a re-seat or a new extractor."""
+"""Orders about baselines: a signature, and a successor after a repair or a re-seat."""
 
 from __future__ import annotations
 

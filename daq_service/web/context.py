@@ -7,6 +7,7 @@ import threading
 from asyncio import to_thread
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -196,7 +197,12 @@ class Freshness(freshness.Freshness):
     """The same for answers: times as text."""
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context.data_folder, context.catalogue(), context.settings.clock.kind)
+        self._catalogue = context.catalogue()
+        super().__init__(context.data_folder, self._catalogue, context.settings.clock.kind)
+
+    @cached_property
+    def _baselines(self) -> dict[int, str]:
+        return self._catalogue.baseline_names()
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""
@@ -216,7 +222,8 @@ class Freshness(freshness.Freshness):
     def row(self, row: Row, **beside: Any) -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""
         if isinstance(row, AlarmRow):
-            row, beside = self.standing(row), {**beside, "proof_sentences": proof_sentences(row)}
+            row = self.standing(row)
+            beside |= {"proof_sentences": proof_sentences(row, self._baselines)}
         answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}

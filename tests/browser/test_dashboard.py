@@ -421,6 +421,7 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     with page.expect_request("**/static/main.js"):
         page.goto(f"{service.url}?position=B&set=3", wait_until="commit")
     expect(page.locator('.tile[data-position="B"] .figure')).to_have_text(re.compile(r"\d"))
+    expect(page.locator('.tile[data-position="B"]')).to_contain_text(re.compile(r"Chart\s*[\d.]+, limit 59"))
     page.locator('.tile[data-position="C"]').click()
     before = asked.index("/static/main.js")
     assert not [path for path in asked[:before] if path.startswith("/api")]

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 
+from daq_service.alarms.guidance import GUIDANCE
 from daq_service.cli.main import cli
 from daq_service.settings.file import load_settings
 from daq_service.web.notifications.webhook import signature
@@ -80,6 +81,20 @@ def test_the_examples_of_the_sweep_page_print_what_it_says(
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         *("heights.csv", "heights.csv.json", "heights.h5", "shots.csv", "zener.csv", "zener.csv.json")
     ]
+
+
+def test_the_table_of_delays_has_every_kind_of_alarm() -> None:
+    page = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
+    table = page.partition("| Kinds | Delays")[2].partition("\n\n")[0]
+    assert {kind for kind in GUIDANCE if f"`{kind}`" not in table} == set()
+
+
+def test_the_limits_of_small_and_large_baselines_are_those_that_are_printed() -> None:
+    page = ROOT / "docs/how-to/choose-a-baseline.md"
+    (code,), (told,) = blocks(page, "python"), blocks(page, "text")
+    with contextlib.redirect_stdout(said := io.StringIO()):
+        exec(code, {})
+    assert said.getvalue() == told
 
 
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 import select
@@ -27,6 +28,7 @@ class PseudoTerminal:
         self.process = process
         self.written = ""
         self._screen = screen
+        self._decoded = codecs.getincrementaldecoder("utf-8")().decode
 
     def until(self, pattern: str, *, times: int = 1) -> None:
         """Read on until the pattern was written so often; fails if the command ends before."""
@@ -56,7 +58,7 @@ class PseudoTerminal:
             new = os.read(self._screen, 65536)
         except OSError:  # Linux: nobody has the other side open any more
             new = b""
-        self.written += new.decode()
+        self.written += self._decoded(new)  # a read may end within a character
         return bool(new)
 
     def shown(self) -> list[str]:

@@ -1,13 +1,15 @@
 """Realised false-alarm rates of the limits, by simulation of many baselines (nominal .27 %)."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
-from analysis.statistics.limits import f_predictive_limit, false_alarm_rate, paper_limit
+from analysis.statistics.limits import PAPER_MEAN_3SD, f_predictive_limit, false_alarm_rate, paper_limit
+from analysis.statistics.named_limits import LIMITS
 
 P = 5
 NEW_SETS = 400
@@ -48,6 +50,7 @@ def test_predictive_limit_keeps_its_rate_and_the_papers_does_not(n, n_baselines,
     assert np.std(over_f, ddof=1) / math.sqrt(n_baselines) < 0.0003
     assert within(over_paper, paper_rate, rounding=rounding)
     assert over_paper.mean() > 4 * over_f.mean()
+    assert re.search(rf"{100 * paper_rate:.0f} % [a-z ]*with {n}\b", LIMITS[PAPER_MEAN_3SD].words)
 
 
 def test_screen_finds_a_suspect_in_five_percent_of_healthy_baselines():

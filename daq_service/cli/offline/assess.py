@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from analysis.statistics.design import Budget
+from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
 from daq_service.cli.offline.table_file import NoTableError, read_table
@@ -196,7 +197,8 @@ def in_words(told: dict[str, Any], budget: float, sets_per_day: float) -> str:
     for name, limit in told["limits"].items():
         first = told["first"][name]
         since = "" if first is None else f", first row {first}"
-        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {told['count'][name]}{since}")
+        caveat = f"; {LIMITS[name].caveat}" if LIMITS[name].caveat else ""
+        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {told['count'][name]}{since}{caveat}")
     lines.append(f"  default    {told['default_because']}")
     promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
     kept = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"

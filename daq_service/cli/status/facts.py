@@ -20,6 +20,7 @@ from daq_service.errors import StorageError
 from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
 from daq_service.judgement.restored import thickness_interval_m
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
+from daq_service.judgement.stored_limits import deciding_chart
 from daq_service.orders.deadline import as_it_stands, left_now_s
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
@@ -121,7 +122,7 @@ def _last_told(word: LastWord) -> dict[str, Any]:
 def _standing(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LastWord
 ) -> dict[str, Any]:
-    """Add to a position's last word what it says now: state, age, limit, a thickness's interval."""
+    """Add to a position's last word what it says now: state, age, limits, a thickness's interval."""
     data_h, interval_m = data_hour(last), None
     if last.last_thickness is not None:
         try:
@@ -132,11 +133,13 @@ def _standing(
         ) as error:  # `lost` and `verify` tell of it; the reading itself is in the catalogue
             log.debug("no interval of position %s: %s", last.position, error)
     age_h = None if data_h is None else fresh.age_h(data_h)
+    chart = deciding_chart(last.last_verdict, settings)
     return {
         "state": state_word(last),
         "age_h": age_h,
         "stale": is_stale(settings.schedule, fresh, age_h),
         "limit": limit_of(last, settings),
+        "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
         "thickness_interval_m": interval_m,
     }
 

@@ -93,6 +93,8 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     for file, what in facts["lost"].items():
         yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
     yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
+    if any(row["chart"] for row in facts["positions"].values()):
+        yield "decides", "the chart, or a cause named WALL; D² beyond its limit is an outlier, no alarm", ""
     yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
     apart = sum(row["suppressed"] is not None for row in facts["alarms"])
     suppressed = f", {apart} shelved or out of service" if apart else ""
@@ -153,7 +155,7 @@ def _table(*columns: str) -> Table:
 
 
 def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
-    table = _table("position", "state", "result", "limit", "quality", "age", "last set")
+    table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
         result, limit, quality = _result(row)
         age = "-" if row["age_h"] is None else duration(3600.0 * row["age_h"])
@@ -163,6 +165,7 @@ def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
             Text(row["state"].replace("_", " "), style=STYLES.get(row["state"], "")),
             result,
             limit,
+            _chart(row),
             Text(quality, style=STYLES.get(quality.partition(",")[0], "")),
             Text(f"{age} STALE" if row["stale"] else age, style="yellow" if row["stale"] else ""),
             f"{its_set['set_index']} {its_set['state']}",
@@ -180,9 +183,7 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
         return result, f"{1e3 * row['limit']:.2f} mm", echo["quality"]
     if feature is None:
         return "-", "-", "-"
-    # A verdict on another set than these features would have another age.
-    judged = verdict if verdict is not None and verdict["set_index"] == feature["set_index"] else None
-    distance = None if judged is None else judged["distance_squared"]
+    distance = verdict["distance_squared"] if _of_the_same_set(feature, verdict) else None
     limit = "none yet" if row["limit"] is None else f"{row['limit']:.1f}"
     told = []
     if distance is not None:
@@ -192,6 +193,19 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     if feature["amplitude_ratio"] is not None:
         told.append(f"AR {feature['amplitude_ratio']:.3f}")
     return ", ".join(told) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
+
+
+def _of_the_same_set(feature: Mapping[str, Any] | None, verdict: Mapping[str, Any] | None) -> bool:
+    """Tell whether a verdict has the age of these features."""
+    return feature is not None and verdict is not None and verdict["set_index"] == feature["set_index"]
+
+
+def _chart(row: Mapping[str, Any]) -> str:
+    """Tell where the chart stands of its limit."""
+    chart = row["chart"]
+    if chart is None or not _of_the_same_set(row["last_feature"], row["last_verdict"]):
+        return "-"
+    return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
 
 def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:

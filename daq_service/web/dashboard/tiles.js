@@ -143,6 +143,7 @@ export class Tiles {
       gauge(ratio),
       list([
         ...(verdict?.cause ? [/** @type {[string, string]} */ (["Cause", causeOf(verdict)])] : []),
+        ...(typeof verdict?.chart === "number" && verdict.limits?.chart ? [/** @type {[string, string]} */ (["Chart", `${significant(verdict.chart)}, limit ${significant(verdict.limits.chart)}`])] : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],

@@ -100,6 +100,8 @@ class Contents:
     ----------
     files_sha256
         Digest of the names and SHA-256 of the sets' files in the range, in their order; ``n_files`` of them.
+    baselines
+        Names by their id.
     history
         Events of the alarms, by the alarm's id.
     audit
@@ -122,6 +124,7 @@ class Contents:
     extractors: Sequence[str]
     places: Sequence[Place]
     gaps: Sequence[Gap]
+    baselines: Mapping[int, str]
     alarms: Sequence[AlarmRow]
     history: Mapping[int, Sequence[EventRow]]
     annotations: Sequence[AnnotationRow]
@@ -193,6 +196,7 @@ def read_contents(
             ),
             places=places,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
+            baselines=catalogue.baseline_names(),
             alarms=alarms[-MOST_LINES:],
             history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
             annotations=catalogue.rows(AnnotationRow, **asked)[-MOST_LINES:],

@@ -13,6 +13,8 @@ from daq_service.alarms.proof import proof_sentences
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
+from daq_service.judgement.stored_limits import deciding_chart
+from daq_service.settings.tree import Settings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -107,11 +109,7 @@ def _what(contents: Contents) -> list[str]:
         ("Extractor", ", ".join(contents.extractors) or NOT_KNOWN),
         ("Files of sets", f"{contents.n_files} in the range"),
         ("Digest of their names and SHA-256", contents.files_sha256),
-        (
-            "Limit that decides",
-            f"{settings.novelty.limit}, {settings.novelty.false_alarm_rate:g} false alarms",
-        ),
-        ("Alarm", f"at {settings.alarms.k} of {settings.alarms.n} sets"),
+        *_what_decides(settings),
     ]
     places = [
         (place.name, place.label, place.method.replace("_", " "), place.serial_number or NOT_KNOWN)
@@ -120,6 +118,22 @@ def _what(contents: Contents) -> list[str]:
     return [
         table("Identity", (), rows),
         table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
+    ]
+
+
+def _what_decides(settings: Settings) -> list[Row]:
+    outlier = f"{settings.novelty.limit}, {settings.novelty.false_alarm_rate:g} false alarms a set"
+    of_sets = f"at {settings.alarms.k} of {settings.alarms.n} sets"
+    if settings.alarms.decides_by != "chart":
+        return [("Limit that decides", outlier), ("Alarm", of_sets)]
+    budget = settings.false_alarms_per_sensor_year()
+    by_chart = (
+        f"by the chart beyond its limit, made for {budget:g} false alarms a sensor and year, or by a "
+        f"cause named WALL; {of_sets} where a baseline of an earlier version has no chart"
+    )
+    return [
+        ("Alarm", by_chart),
+        ("Limit of an outlier", f"{outlier}; an outlier alone raises no alarm"),
     ]
 
 
@@ -139,6 +153,11 @@ def _now(contents: Contents) -> list[str]:
         else:
             value = f"D² {significant(verdict.distance_squared if verdict else None)}"
             limit = significant(place.limit)
+            if chart := deciding_chart(verdict, contents.settings):
+                value, limit = (
+                    f"{told}; chart {significant(its)}"
+                    for told, its in zip((value, limit), chart, strict=True)
+                )
         age = NOT_KNOWN if place.age_h is None else f"{place.age_h:.2f} h{', stale' if place.stale else ''}"
         data_h = NOT_KNOWN if place.data_h is None else f"{place.data_h:.2f}"
         rows.append(
@@ -241,7 +260,7 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
             f"<p>{escape(row.message)}</p>",
             f"<p class='note'>{escape(told)}.</p>",
             "<ul>",
-            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row)),
+            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row, contents.baselines)),
             "</ul>",
             table("Proof, as stored", (), proof),
             table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),

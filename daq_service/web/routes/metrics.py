@@ -168,7 +168,7 @@ def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]
     yield _gauge("data_age_seconds", "Age of the newest measured set on the test's clock", ages, of_position)
     yield each("outlier", "1: the newest judged set is an outlier", of("last_verdict", "outlier"))
     yield each("distance_squared", "Mahalanobis squared distance", of("last_verdict", "distance_squared"))
-    yield each("distance_squared_limit", "The limit that decides", limit_beside("last_verdict"))
+    yield each("distance_squared_limit", "The limit of an outlier", limit_beside("last_verdict"))
     yield each("time_of_flight_seconds", "Peak to peak", of("last_feature", "tof_pp_s"))
     yield each("amplitude_ratio", "PSW over ISW", of("last_feature", "amplitude_ratio"))
     yield each("thickness_meters", "Wall by pulse echo", of("last_thickness", "thickness_m"))

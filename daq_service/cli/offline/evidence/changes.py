@@ -28,6 +28,8 @@ from hardware_drivers.nanoseconds import NS_PER_H
 ONSETS = ("alarm_raised", "alarm_returned")
 NOT_SAID = frozenset({"id", "created_utc_ns"})
 """Columns that say when and where a row was stored, not what it means."""
+LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
+"""Columns of a baseline that a person's step changes."""
 EXTRACTED = (FeatureRow, ThicknessRow)
 JUDGED = (BaselineRow, VerdictRow)
 
@@ -140,7 +142,8 @@ def differences(
     """Compare the rows of these kinds, column by column; of features those of whole sets.
 
     A column that no stored row has is of a later version, and says nothing. A set that only one of the two
-    has a row of differs in the column ``row``.
+    has a row of differs in the column ``row``. Up to a set, what people did to a baseline is not compared:
+    its row tells that of today, which may have come after the set.
     """
     found = []
     for kind in kinds:
@@ -175,6 +178,7 @@ def _rows(
     """Return set and columns of each row by position and set, baselines by position and number."""
     found: dict[tuple[str, int], tuple[int, dict[str, Any]]] = {}
     baselines: Counter[str] = Counter()
+    left_out = NOT_SAID if up_to_set is None or kind is not BaselineRow else NOT_SAID.union(LIFE)
     rows: list[Any] = catalogue.rows(kind, position=position, scope="set" if kind is FeatureRow else None)
     for row in rows:
         set_index = row.last_set_index if kind is BaselineRow else row.set_index
@@ -182,7 +186,7 @@ def _rows(
             continue
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1
-        columns = {name: value for name, value in values(row).items() if name not in NOT_SAID}
+        columns = {name: value for name, value in values(row).items() if name not in left_out}
         found[row.position, key] = set_index, columns
     return found
 

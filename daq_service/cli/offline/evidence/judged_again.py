@@ -39,6 +39,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.store import open_for_a_while
+from daq_service.cli.offline.evidence.changes import LIFE
 from daq_service.judgement.life import STEPS, planned
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
@@ -51,8 +52,6 @@ FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
 """Features of a set's shots by their sequence."""
 ReadSet = Callable[[SetReference], SetRecord]
 Progress = Callable[[int, int], None]
-LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
-"""Columns of a baseline that a person's step changes."""
 
 
 @contextmanager

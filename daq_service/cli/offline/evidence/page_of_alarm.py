@@ -80,7 +80,7 @@ def facts_of(found: Explained) -> dict[str, Any]:
         "begun_by": found.experiment.solimon_version,
         "explained_by": version("solimon"),
         "alarm": values(found.alarm),
-        "sentences": proof_sentences(found.alarm),
+        "sentences": _sentences(found),
         "guidance": None if guidance is None else asdict(guidance),
         "history": [transition(event) for event in found.history],
         "agrees": found.agrees,
@@ -105,10 +105,15 @@ def _facts_of(again: Recomputed) -> dict[str, Any]:
     }
 
 
+def _sentences(found: Explained) -> list[str]:
+    baseline = None if found.again is None else found.again.baseline
+    return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline.name})
+
+
 def _found(found: Explained) -> list[str]:
     return [
         f"<p><strong>{escape(found.alarm.message)}</strong></p>",
-        *(f"<p>{escape(sentence)}</p>" for sentence in proof_sentences(found.alarm)),
+        *(f"<p>{escape(sentence)}</p>" for sentence in _sentences(found)),
     ]
 
 

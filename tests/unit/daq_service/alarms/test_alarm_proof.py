@@ -86,7 +86,7 @@ def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
 
 TOLD: dict[str, str] = {
     "wall_change": """
-        Set 49 lies at a squared distance of 48.6 from baseline 2, 2 times the limit of 24.3.
+        Set 49 lies at a squared distance of 48.6 from the baseline, 2 times the limit of 24.3.
         What contributes most to the distance: amplitude ratio 80 %, time of flight between the peaks 50 %.
         The distance counts how far the five features lie from the baseline's mean, in units of their own
         scatter there (equation 16); the limit is the predictive F limit for a new set of a healthy wall.
@@ -135,9 +135,12 @@ def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
     )
 
 
-def test_the_last_sentence_says_when_and_by_which_code() -> None:
+def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_name() -> None:
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
     assert proof_sentences(alarm("wall_change"))[-1] == when
+    first, *others = proof_sentences(alarm("wall_change"), {2: "C-baseline-1", 3: "D-baseline-1"})
+    assert first.startswith("Set 49 lies at a squared distance of 48.6 from C-baseline-1, 2 times")
+    assert others == proof_sentences(alarm("wall_change"))[1:]
     assert proof_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 

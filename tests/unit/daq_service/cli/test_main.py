@@ -84,10 +84,16 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
 
 
 @pytest.mark.parametrize(
-    ("words", "asked"), [("hold", True), ("hold --reason door", False), ("release", False)]
+    ("words", "asked"),
+    [
+        ("hold", "Why is the test held"),
+        ("hold --reason door", ""),
+        ("release", ""),
+        ("renew-baseline --position B", "Why is the baseline retired"),
+    ],
 )
-def test_at_a_terminal_a_hold_asks_for_its_reason(
-    monkeypatch: pytest.MonkeyPatch, words: str, asked: bool
+def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
+    monkeypatch: pytest.MonkeyPatch, words: str, asked: str
 ) -> None:
     given: list[str] = []
 
@@ -100,8 +106,14 @@ def test_at_a_terminal_a_hold_asks_for_its_reason(
     questions: list[str] = []
     monkeypatch.setattr("click.prompt", lambda text, **options: questions.append(text) or "hands in the rig")
     assert solimon_here(*words.split(), env={}).returncode == 0
-    assert questions == (["Why is the test held"] if asked else [])
+    assert questions == ([asked] if asked else [])
     assert given == (["hands in the rig"] if asked else ["door"] if "door" in words else [""])
+
+
+def test_a_renewal_without_a_reason_is_told_which_option_gives_it(tmp_path: Path) -> None:
+    done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
+    assert done.returncode == 2
+    assert "--reason 'the sensor was coupled anew'" in done.stderr
 
 
 def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.filled_folder import LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
+from support.filled_folder import LIMIT_CHART, LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
 from support.kept_folder import lay_out
 
 from daq_service.archive import FolderSetReader
@@ -77,19 +77,32 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
-    feature, distance = word["last_feature"], word["last_verdict"]["distance_squared"]
+    feature, verdict = word["last_feature"], word["last_verdict"]
+    distance, chart = verdict["distance_squared"], verdict["chart"]
+    assert word["chart"] == {"statistic": chart, "limit": LIMIT_CHART}
+    waves = f"ToF {1e6 * feature['tof_pp_s']:.1f} us, AR {feature['amplitude_ratio']:.3f}"
+    rest = f"good, n = 1  0 s  {SETS - 1} done"
     assert line_of(lines, " B") == (
-        f" B  normal  D² {distance:.1f}, ToF {1e6 * feature['tof_pp_s']:.1f} us, "
-        f"AR {feature['amplitude_ratio']:.3f}  {LIMIT_F}  good, n = 1  0 s  {SETS - 1} done"
+        f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  {chart:.1f} of {LIMIT_CHART}  {rest}"
     )
+    assert line_of(lines, "decides").startswith("decides  the chart, or a cause named WALL;")
+    by_sets = filled.settings.model_copy(
+        update={"alarms": filled.settings.alarms.model_copy(update={"decides_by": "k_of_n"})}
+    )
+    facts_by_sets = describe_status(filled.folder, by_sets)
+    assert facts_by_sets["positions"]["B"]["chart"] is None
+    lines_by_sets = told(facts_by_sets)
+    assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
+    assert not any(line.startswith("decides") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
-    assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  good  0 s")
+    assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
 
 
 def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
     filled.add_set(SETS, stored=False, judged=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
+    assert f" of {LIMIT_CHART}" not in row
     assert "ToF" in row
 
 
@@ -214,7 +227,7 @@ def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: P
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     assert low_m < wall_m < high_m
     row = line_of(told(facts), " A")
-    assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  good" in row
+    assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
     with open_catalogue(folder) as catalogue:
         first, *_, last = catalogue.rows(ThicknessRow, position="A")
         (its_set,) = catalogue.rows(SetRow, position="A", set_index=last.set_index)
@@ -265,7 +278,7 @@ def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
     filled.add_set(0, stored=False, judged=False)
     row = line_of(status_of(filled), " D")
     assert row.startswith(" D  learning  ToF ")
-    assert "  none yet  good, n = 1  " in row
+    assert "  none yet  -  good, n = 1  " in row
     filled.catalogue.commit_set(
         SetCommit(verdicts=[replace(filled.verdict("D", 0, 0.5), limit_f=None, distance_squared=12_345.0)])
     )

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from support.filled_folder import FilledFolder
+from support.filled_folder import LIMIT_CHART, FilledFolder
 from support.served_web import served
 
 from daq_service import client
@@ -22,7 +22,7 @@ from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
 from daq_service.web.report.figures import GREEN, figure_of
 from daq_service.web.report.make import report_page
-from daq_service.web.report.page import quantity, significant
+from daq_service.web.report.page import _what_decides, quantity, significant
 from daq_service.web.routes import report as route
 
 N_SETS = 56
@@ -141,11 +141,29 @@ def test_the_tables_have_the_figures_of_the_client(filled, page):
         newest = test.verdicts("B").iloc[-1]
         info = test.info()
     assert now["B"][2:5] == [
-        *(f"D² {significant(newest['distance_squared'])}", significant(newest["limit_f"]), newest["quality"])
+        f"D² {significant(newest['distance_squared'])}; chart {significant(newest['chart'])}",
+        f"{significant(newest['limit_f'])}; chart {significant(LIMIT_CHART)}",
+        newest["quality"],
     ]
     assert now["B"][1] == "alarm"
     identity = {row[0]: row[1] for row in page.tables["What was tested"]}
     assert identity["Configuration"] == f"SHA-256 {info['configuration_hash']}"
+
+
+def decides(alarms):
+    return dict(_what_decides(Settings(alarms=alarms)))
+
+
+def test_what_raises_the_alarm_is_told_by_what_decides():
+    by_chart = decides({"false_alarms_per_sensor_year": 0.5})
+    assert by_chart["Alarm"].startswith(
+        "by the chart beyond its limit, made for 0.5 false alarms a sensor and year"
+    )
+    assert by_chart["Limit of an outlier"].endswith("an outlier alone raises no alarm")
+    assert decides({"decides_by": "k_of_n", "k": 2, "n": 4}) == {
+        "Limit that decides": "f_predictive, 0.0027 false alarms a set",
+        "Alarm": "at 2 of 4 sets",
+    }
 
 
 def test_each_figure_shows_each_set_where_it_belongs(filled):

@@ -9,11 +9,11 @@ from datetime import UTC, datetime, timedelta
 import httpx
 import numpy as np
 import pytest
-from support.filled_folder import LIMIT_F, FilledFolder
+from support.filled_folder import LIMIT_F, FilledFolder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EnvironmentRow, EventRow, FeatureRow, VerdictRow, values
+from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, EventRow, FeatureRow, VerdictRow, values
 from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
@@ -23,6 +23,7 @@ from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, rfc3339_of_hours, with_utc
+from daq_service.web.report.make import report_page
 from daq_service.web.routes import trends
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -345,6 +346,23 @@ def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
         answer = get(api, "/api/v1/transducers")
         assert answer["as_of"]["recorder"] == "silent"
         assert all(row["stale"] for row in answer["items"])
+    filled.close()
+
+
+def test_a_proof_names_its_baseline_wherever_it_is_told(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    for name in ("B", "C"):
+        filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name)]))
+    by_id = {row.id: row.name for row in filled.catalogue.rows(BaselineRow)}
+    (its_id,) = [number for number, name in by_id.items() if name == "C-baseline-1"]
+    proof = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
+    filled.add_alarm("C", 0, proof=proof)
+    named = "Set 0 lies at a squared distance of 30.5 from C-baseline-1, 1.26 times the limit of 24.3."
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        assert get(api, "/api/v1/alarms/1")["proof_sentences"][0] == named
+        assert named in api.get("/api/v1/tables/alarms?format=csv").text
+    assert named in report_page(tmp_path).decode()
     filled.close()
 
 

@@ -77,6 +77,13 @@ def test_every_format_says_the_same(tables):
     assert "40 sets" in npy["alarm"]["why"]
 
 
+def test_the_paper_s_limit_stands_beside_what_it_does_not_keep(tables):
+    said = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
+    told_of = {line.split()[0]: line for line in said if " limit " in line}
+    assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in told_of["paper_mean_3sd"]
+    assert all("%" not in line for name, line in told_of.items() if name != "paper_mean_3sd")
+
+
 def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]

@@ -15,12 +15,13 @@ from support.drifting_wall import RAISED, drifting_wall
 from support.life_of_a_test import lived
 
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.catalogue.rows import AlarmRow, FeatureRow, VerdictRow
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, VerdictRow
 from daq_service.cli.offline.evidence import replay
 from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
 from daq_service.cli.offline.evidence.other_settings import changed, judging_keys, parsed
 from daq_service.cli.offline.evidence.replay import in_words, replayed
 from daq_service.errors import UsageError
+from daq_service.judgement.life import signed
 
 
 @pytest.fixture(scope="module")
@@ -201,6 +202,7 @@ def test_an_alarm_of_the_wall_comes_out_again_on_a_page_that_needs_nothing_else(
     page, facts = (Path(file).read_text(encoding="utf-8") for file in told["files"])
     assert json.loads(facts) == told
     assert page.count("<svg ") == 3
+    assert "from B-baseline-1, " in told["sentences"][0]
     assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
     for words in ("Set 24 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
         assert words in page
@@ -230,6 +232,26 @@ def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, 
     assert difference["stored"] == 1.0
     assert difference["again"] > 1.0
     assert "what is stored differs in the 1 points" in told["told"]
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        lambda row: signed(row, "ann", 2**60),
+        lambda row: replace(
+            row, state="retired", retired_utc_ns=2**60, retired_by="ann", retired_because="coupled anew"
+        ),
+    ],
+    ids=["signed", "retired"],
+)
+def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(after, line, tmp_path):
+    folder = tmp_path / "later"
+    shutil.copytree(line.folder, folder)
+    with replace(line, folder=folder).catalogue(writer=True) as catalogue:
+        catalogue.restore([after(row) for row in catalogue.rows(BaselineRow, position="B")])
+    done = explain(folder, alarm_id_of(line, "wall_change", "B"), tmp_path / "out", "--json")
+    told = json.loads(done.stdout)
+    assert (told["agrees"], told["recomputed"]["differences"]) == (True, [])
 
 
 def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_told(
