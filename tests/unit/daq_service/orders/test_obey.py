@@ -175,15 +175,16 @@ def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Benc
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
     state, why = bench.obey("renew_baseline", position="B", note=" ")
     assert (state, "say why the baseline is retired" in why) == ("refused", True)
-    bench.next_set = 411
+    bench.next_set = 378
     state, why = bench.obey("renew_baseline", position="B", note="a new sensor")
-    assert (state, why[:56]) == ("refused", "the plan has 14 sets left, a baseline needs 15 (baseline")
-    bench.next_set = 410
+    told = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
+    assert (state, why.startswith(told), "schedule.end_h" in why) == ("refused", True, True), why
+    bench.next_set = 377
     assert bench.obey("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
     assert baselines(bench) == [
         ("B-baseline-1", "retired", 0, 47),
-        ("B-baseline-2", "collecting", 410, 457),
+        ("B-baseline-2", "collecting", 377, 424),
     ]
 
 
