@@ -69,10 +69,17 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A row to store, and the event that tells of it."""
+    """A row to store, and the event that tells of it.
+
+    Attributes
+    ----------
+    author
+        Whose deed it is, where the row may name somebody else: who saw the alarm first.
+    """
 
     row: AlarmRow
     event_kind: str
+    author: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +167,7 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
 
 
 def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """End a latched alarm by a person's word: what it stood for was put right.
+    """End an alarm by a person's word: what it stood for was put right, or is no longer watched.
 
     Raises
     ------
@@ -169,7 +176,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """
     if row.state == "normal":
         raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
-    return _to(
+    change = _to(
         row,
         "normal",
         moment,
@@ -179,6 +186,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
         acknowledged_by=row.acknowledged_by or author,
         note=note or row.note,
     )
+    return replace(change, author=author)
 
 
 def proven_by(row: AlarmRow, proof: Mapping[str, Any], moment: Moment) -> Change:
