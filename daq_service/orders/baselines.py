@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daq_service.alarms.states import reset
+from daq_service.alarms.states import NOT_JUDGED, reset
 from daq_service.judgement.confirmation import ALARMS_OF_CHANGE
 from daq_service.judgement.life import APPROVED, COLLECTING, RETIRED, renewed, signed
 from daq_service.orders.kinds import WRITTEN, Facts, Refusal, TransducerArguments, TransducerOrder
@@ -39,7 +39,11 @@ class ApproveBaseline(TransducerOrder):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         position = self.arguments.position
         unknown = super()._forbidden(facts)
-        state = facts.baselines.get(position, "collecting")
+        row = facts.baselines.get(position)
+        state = "collecting" if row is None else row.state
+        if unknown is None and row is not None and state == "proposed" and row.limit_reason:
+            reason = f"the baseline of {position} has no limits: {row.limit_reason}"
+            return Refusal(reason, "Nothing is judged by it, signed or not.")
         if unknown is not None or state == "proposed":
             return unknown
         reason = f"the baseline of {position} is {state}: there is nothing to sign"
@@ -85,7 +89,7 @@ class RenewBaseline(TransducerOrder):
         # Nothing has returned to normal: what they were judged by is gone.
         ended = [
             reset(row, self.author, f"its baseline was retired: {because}", moment)
-            for kind in ALARMS_OF_CHANGE
+            for kind in (*ALARMS_OF_CHANGE, NOT_JUDGED)
             if (row := test.alarms.get((position, kind))) is not None and row.state != "normal"
         ]
         test.change_baselines(moment, (retired, RETIRED), (collecting, COLLECTING), ended=ended)

@@ -12,6 +12,6 @@ def renew(hours: float, first_set: int) -> None:
 
 
 def test_no_baseline_is_begun_that_could_give_no_limits() -> None:
-    with pytest.raises(ValueError, match="gives a baseline 14 sets, it needs 15 .*: begin a new test"):
+    with pytest.raises(ValueError, match=r"gives a baseline 14 sets, it needs 15 .*: begin a new test"):
         renew(7.0, 20)
     renew(7.5, 20)
