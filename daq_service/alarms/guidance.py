@@ -55,6 +55,17 @@ GUIDANCE: Mapping[str, Guidance] = {
         short="The message names the cause; put it right, then record a new baseline.",
         call="who looks after the rig",
     ),
+    "not_judged": Guidance(
+        says="the baseline here has no limits: nothing is judged, nothing watches the wall",
+        does_not_say="anything about the wall",
+        look_first=(
+            "the message: too few sets, or a feature that never changes",
+            "what kept sets out: a hold, poor shots, a missing rig",
+            "that put right, `solimon renew-baseline`",
+        ),
+        short="The message says why there are no limits; put it right, then `solimon renew-baseline`.",
+        call="who looks after the rig",
+    ),
     "hole": Guidance(
         says="no reflected wave in most shots, sets running; the transducer is retired",
         does_not_say="whether the wall is open or the chain has lost contact",

@@ -44,6 +44,8 @@ LONGEST_SHELF_H = 72.0
 """A weekend: what is not put right by then is out of service, or an alarm again."""
 RETIRING = ("hole", "retired")
 """Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
+NOT_JUDGED = "not_judged"
+"""Kind of alarm while a baseline without limits stands, and the word for a position that is not judged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +75,17 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A row to store, and the event that tells of it."""
+    """A row to store, and the event that tells of it.
+
+    Attributes
+    ----------
+    author
+        Whose deed it is, where the row may name somebody else: who saw the alarm first.
+    """
 
     row: AlarmRow
     event_kind: str
+    author: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +174,7 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
 
 
 def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """End a latched alarm by a person's word: what it stood for was put right.
+    """End an alarm by a person's word: what it stood for was put right, or is no longer watched.
 
     Raises
     ------
@@ -174,7 +183,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """
     if row.state == "normal":
         raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
-    return _to(
+    change = _to(
         row,
         "normal",
         moment,
@@ -184,6 +193,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
         acknowledged_by=row.acknowledged_by or author,
         note=note or row.note,
     )
+    return replace(change, author=author)
 
 
 def proven_by(row: AlarmRow, proof: Mapping[str, Any], moment: Moment) -> Change:

@@ -31,7 +31,7 @@ def transition(event: EventRow) -> dict[str, Any]:
         "state": told.get("state"),
         "severity": told.get("severity"),
         "suppressed": told.get("suppressed"),
-        "who": told.get(who),
+        "who": told.get("author") or told.get(who),
         "why": told.get("message") if event.kind in _BY_THEMSELVES else told.get(why),
         "shelved_until_utc_ns": told.get("shelved_until_utc_ns"),
     }

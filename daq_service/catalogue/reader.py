@@ -392,9 +392,9 @@ class Catalogue:
         """Newest baseline of a position."""
         return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
 
-    def baseline_states(self) -> dict[str, str]:
-        """State of the newest baseline of each position that has one."""
-        return {row.position: row.state for row in self.rows(BaselineRow)}
+    def newest_baselines(self) -> dict[str, BaselineRow]:
+        """Newest baseline of each position that has one."""
+        return {row.position: row for row in self.rows(BaselineRow)}  # the newest stands last
 
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Id of the newest row, 0 before the first: these count from 1, and none is ever taken away."""

@@ -9,10 +9,12 @@ from typing import Any
 
 import click
 
-from daq_service.acquisition.schedule import plan
+from analysis.statistics.rules import MINIMUM_SETS
+from daq_service.acquisition.schedule import due_hours, plan
 from daq_service.cli.forecast import most_confirmation_bytes, record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError
+from daq_service.judgement.readiness import GOOD_SETS
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
@@ -33,6 +35,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
         return
     click.echo(f"{settings.name}: the configuration is good ({settings.configuration_hash()[:12]})")
     click.echo(f"sets       {facts['sets']}, the last one due at hour {facts['last_due_h']:g}")
+    _print_baseline(settings, facts)
     click.echo(f"strikes    {facts['strikes']} ({settings.schedule.shots_per_set} a set and transducer)")
     click.echo(f"echoes     {facts['pulse_echo_records']}")
     if facts["record_samples"] is not None:
@@ -50,6 +53,21 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     if facts["stored_bytes"] > facts["free_bytes"]:
         click.echo(
             "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
+        )
+
+
+def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
+    """Tell how many sets are planned for each transducer's baseline, and where that is too few."""
+    if not settings.names_of(SOLITARY_WAVE):
+        return
+    n_sets, least = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
+    needs = f"it needs at least {least}, {GOOD_SETS} and more are advised"
+    click.echo(f"baseline   {n_sets} sets planned for each transducer; {needs}")
+    if n_sets < least or n_sets >= facts["sets"]:
+        click.echo(
+            f"WARNING: nothing would be judged: the plan has {facts['sets']} sets, and baseline.hours = "
+            f"{settings.baseline.hours:g} takes {n_sets} of each transducer; {needs}, and sets behind it",
+            err=True,
         )
 
 
@@ -77,6 +95,8 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "name": settings.name,
         "configuration_hash": settings.configuration_hash(),
         "sets": len(planned),
+        # Of the whole schedule, not of one cut by end_h, as `judgement.life` counts them.
+        "baseline_sets": len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours)),
         "strikes": strikes,
         "pulse_echo_records": echoes,
         "record_samples": strike.samples if strike.known else None,

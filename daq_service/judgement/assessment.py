@@ -59,8 +59,8 @@ class Assessor(Protocol):
         ...
 
     @property
-    def awaits_baseline(self) -> bool:
-        """There is nothing yet to compare a set with."""
+    def unjudged_because(self) -> str:
+        """Why there is nothing to compare a set with; empty: there is."""
         ...
 
     def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:

@@ -97,14 +97,20 @@ def renewed(
     Raises
     ------
     ValueError
-        The plan ends before the successor would have `baseline.minimum_sets`.
+        The plan ends before the successor is complete, or no successor would have `baseline.minimum_sets`.
     """
     now = planned(position, settings, present)
-    n_left = len(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)) - first_set
-    if n_left < settings.baseline.minimum_sets:
+    n_sets, least = 1 + now.last_set - now.first_set, settings.baseline.minimum_sets
+    if n_sets < least:
         raise ValueError(
-            f"the plan has {max(0, n_left)} sets left, a baseline needs {settings.baseline.minimum_sets} "
-            "(baseline.minimum_sets): begin a new test, or let this one end later (schedule.end_h)"
+            f"baseline.hours = {settings.baseline.hours:g} gives a baseline {n_sets} sets, it needs {least} "
+            "(baseline.minimum_sets): begin a new test with a longer baseline"
+        )
+    n_left = max(0, len(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)) - first_set)
+    if n_left < n_sets:
+        raise ValueError(
+            f"the plan has {n_left} sets left, another baseline takes {n_sets} (baseline.hours), as the "
+            "first one: begin a new test, or let this one end later (schedule.end_h)"
         )
     before = present or _collecting(position, settings, now)
     retired = replace(
@@ -113,7 +119,7 @@ def renewed(
     following = Planned(
         number=now.number + 1,
         first_set=first_set,
-        last_set=first_set + now.last_set - now.first_set,
+        last_set=first_set + n_sets - 1,
         row_id=now.row_id + len(settings.positions),
     )
     return retired, replace(_collecting(position, settings, following), created_utc_ns=utc_ns)

@@ -82,9 +82,9 @@ class PulseEchoAssessor:
         raise AssertionError(f"{due} is no set of a striker")
 
     @property
-    def awaits_baseline(self) -> bool:
-        """A probe has none."""
-        return True
+    def unjudged_because(self) -> str:
+        """Nobody asks a probe to confirm."""
+        return "a probe has no baseline"
 
     def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:
         """Say nothing: that the probe's instrument did not answer is the rig's alarm."""

@@ -24,7 +24,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.template import compared_with_others, learnt
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
-from daq_service.alarms.states import Condition
+from daq_service.alarms.states import NOT_JUDGED, Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
@@ -141,7 +141,7 @@ class SolitaryWaveAssessor:
         # Strikes that come back without a reflection tell of the wall, not of the transducer.
         conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
         conditions += wall_conditions(self.position, self._state, self._rules, verdicts[-1])
-        conditions.append(self._hole_condition(due, counting))
+        conditions += [self._hole_condition(due, counting), self._unjudged_condition(due)]
         return replace(
             self._told(due, shots, features, mean),
             baseline=self._baseline_row() if closes else None,
@@ -172,9 +172,12 @@ class SolitaryWaveAssessor:
         return replace(told, verdicts=[row])
 
     @property
-    def awaits_baseline(self) -> bool:
-        """There is nothing yet to compare a set with."""
-        return self._state.baseline is None or self._state.baseline.fitted is None
+    def unjudged_because(self) -> str:
+        """Why there is nothing to compare a set with; empty: there is."""
+        baseline = self._state.baseline
+        return (
+            "it has no baseline yet; wait until it is recorded" if baseline is None else baseline.reason or ""
+        )
 
     def _seen(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
@@ -253,7 +256,8 @@ class SolitaryWaveAssessor:
             limits=dict(state.baseline.limits) or None,
             readiness=readiness_of(state, rules),
             approval=self._approval,
-            state="approved" if self._approval == AUTOMATIC else "proposed",
+            # Nobody approves what judges nothing.
+            state="approved" if self._approval == AUTOMATIC and fitted is not None else "proposed",
             provenance={
                 "set_indices": indices,
                 "sets_left_out": state.n_left_out,
@@ -340,6 +344,18 @@ class SolitaryWaveAssessor:
                 proof=proof,
             ),
         ]
+
+    def _unjudged_condition(self, due: DueSet) -> Condition:
+        baseline = self._state.baseline
+        return Condition(
+            position=self.position,
+            kind=NOT_JUDGED,
+            family="device",
+            severity="medium",
+            present=baseline is not None and baseline.fitted is None,
+            message=f"nothing is judged at {self.position}: {self.unjudged_because}",
+            proof={"set_index": due.set_index, "baseline_id": self._baseline_id},
+        )
 
     def _hole_condition(self, due: DueSet, features: Sequence[ShotFeatures]) -> Condition:
         rule = self._rules.hole

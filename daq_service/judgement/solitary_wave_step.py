@@ -22,6 +22,7 @@ from analysis.statistics.distance import distance_squared, named_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import DISTANCE, LIMITS
 from analysis.statistics.rules import (
+    MINIMUM_SETS,
     AlarmRule,
     AlarmState,
     HoleRule,
@@ -292,15 +293,14 @@ def _frozen(state: State, rules: Rules) -> State:
     """Fit the baseline to the remembered sets, and begin the charts; the same sets give the same bits."""
     vectors = np.array([found.vector() for found in state.healthy], dtype=np.float64)
     try:
-        if len(state.healthy) < rules.minimum_sets:
+        if len(state.healthy) < _least(rules):
             raise NotEnoughSetsError(
-                f"a baseline of {len(state.healthy)} sets; baseline.minimum_sets asks for "
-                f"{rules.minimum_sets}: let the baseline run longer"
+                f"a baseline of {len(state.healthy)} sets; it needs {_least(rules)} (baseline.minimum_sets)"
             )
         indices = [found.set_index for found in state.healthy]
         fitted = fit_baseline(vectors, indices, name=rules.baseline_name)
     except (NotEnoughSetsError, SingularCovarianceError) as error:
-        return replace(state, baseline=FrozenBaseline(fitted=None, reason=str(error)))
+        return replace(state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_remedy(rules)}"))
     if rules.run_length is None:
         limits = {
             F_PREDICTIVE: f_predictive_limit(fitted.n, fitted.p, rules.false_alarm_rate),
@@ -322,6 +322,17 @@ def _frozen(state: State, rules: Rules) -> State:
         recollection=Recollection(),
         origin=Origin(),
     )
+
+
+def _least(rules: Rules) -> int:
+    return max(rules.minimum_sets, MINIMUM_SETS)
+
+
+def _remedy(rules: Rules) -> str:
+    n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
+    if n_planned < _least(rules):
+        return f"only {n_planned} are planned: begin a new test with more baseline.hours"
+    return "`solimon renew-baseline` begins another one"
 
 
 def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> Verdict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq_service.alarms.states import retired_positions
+from daq_service.alarms.states import NOT_JUDGED, retired_positions
 from daq_service.catalogue.reader import LastWord
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.stored_limits import limits_by_name
@@ -20,13 +20,13 @@ def state_word(last: LastWord) -> str:
         return "retired"
     if last.last_set is None:
         return "no_data"
-    if any(row.suppressed is None for row in last.active_alarms):
+    if any(row.suppressed is None and row.kind != NOT_JUDGED for row in last.active_alarms):
         return "alarm"
     if verdict is not None and verdict.outlier:
         return "outlier"
     if not METHODS[last.method].has_baseline or (verdict is not None and verdict.outlier is not None):
         return "normal"
-    return "learning"
+    return "learning" if verdict is None or verdict.in_baseline else NOT_JUDGED
 
 
 def limit_of(last: LastWord, settings: Settings) -> float | None:

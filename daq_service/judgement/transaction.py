@@ -106,10 +106,11 @@ class Transaction(SetCommit):
         """Add an alarm's change; its event carries the id that the catalogue gives."""
         self.alarm_of_event[len(self.events)] = len(self.alarms)
         self.alarms.append(change.row)
+        deed = {} if change.author is None else {"author": change.author}
         self._tell(
             "alarms",
             change.event_kind,
-            payload_of(change.row, last="id"),
+            deed | payload_of(change.row, last="id"),
             moment,
             position=change.row.position,
             set_index=moment.set_index,

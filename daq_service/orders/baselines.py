@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from daq_service.alarms.states import NOT_JUDGED, reset
+from daq_service.judgement.confirmation import ALARMS_OF_CHANGE
 from daq_service.judgement.life import APPROVED, COLLECTING, RETIRED, renewed, signed
 from daq_service.orders.kinds import WRITTEN, Facts, Refusal, TransducerArguments, TransducerOrder
 
@@ -37,7 +39,11 @@ class ApproveBaseline(TransducerOrder):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         position = self.arguments.position
         unknown = super()._forbidden(facts)
-        state = facts.baselines.get(position, "collecting")
+        row = facts.baselines.get(position)
+        state = "collecting" if row is None else row.state
+        if unknown is None and row is not None and state == "proposed" and row.limit_reason:
+            reason = f"the baseline of {position} has no limits: {row.limit_reason}"
+            return Refusal(reason, "Nothing is judged by it, signed or not.")
         if unknown is not None or state == "proposed":
             return unknown
         reason = f"the baseline of {position} is {state}: there is nothing to sign"
@@ -49,7 +55,8 @@ class ApproveBaseline(TransducerOrder):
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         row = test.baseline(self.arguments.position)
         assert row is not None, "a proposed baseline has a row"
-        test.change_baselines((signed(row, self.author, test.moment().utc_ns), APPROVED))
+        moment = test.moment()
+        test.change_baselines(moment, (signed(row, self.author, moment.utc_ns), APPROVED))
         return f"{row.name} is approved"
 
 
@@ -69,17 +76,23 @@ class RenewBaseline(TransducerOrder):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        position = self.arguments.position
+        position, moment, because = self.arguments.position, test.moment(), self.arguments.note.strip()
         retired, collecting = renewed(
             position,
             test.settings,
             test.baseline(position),
             first_set=test.next_set(),
             author=self.author,
-            because=self.arguments.note.strip(),
-            utc_ns=test.moment().utc_ns,
+            because=because,
+            utc_ns=moment.utc_ns,
         )
-        test.change_baselines((retired, RETIRED), (collecting, COLLECTING))
+        # Nothing has returned to normal: what they were judged by is gone.
+        ended = [
+            reset(row, self.author, f"its baseline was retired: {because}", moment)
+            for kind in (*ALARMS_OF_CHANGE, NOT_JUDGED)
+            if (row := test.alarms.get((position, kind))) is not None and row.state != "normal"
+        ]
+        test.change_baselines(moment, (retired, RETIRED), (collecting, COLLECTING), ended=ended)
         test.renewed(position)
         return (
             f"{retired.name} is retired; {collecting.name} collects sets {collecting.first_set_index} to "

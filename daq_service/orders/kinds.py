@@ -23,7 +23,7 @@ from daq_service.alarms.states import (
     retired_positions,
     update,
 )
-from daq_service.catalogue.rows import AlarmRow, AnnotationRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Facts:
     annotations
         Rows.
     baselines
-        State of the newest baseline of each position that has one.
+        The newest of each position that has one.
     """
 
     recorder: str = "running"
@@ -70,7 +70,7 @@ class Facts:
     alarms: Sequence[AlarmRow]
     places: Sequence[str] = ()
     annotations: Sequence[AnnotationRow] = ()
-    baselines: Mapping[str, str] = field(default_factory=dict)
+    baselines: Mapping[str, BaselineRow] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

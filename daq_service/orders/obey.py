@@ -146,5 +146,5 @@ class OrderListener:
             alarms=list(self._test.alarms.values()),
             places=self._catalogue.position_names(),
             annotations=self._test.annotations(),
-            baselines=self._catalogue.baseline_states(),
+            baselines=self._catalogue.newest_baselines(),
         )

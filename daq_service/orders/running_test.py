@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -113,9 +113,13 @@ class RunningTest(StoredTest):
     renewed: Callable[[str], None]
     supply: SupplySwitch | None = None
 
-    def change_baselines(self, *steps: tuple[BaselineRow, str]) -> None:
-        """Store what a person made of baselines, each with the kind of its event, together."""
-        transaction, moment = Transaction(), self.moment()
+    def change_baselines(
+        self, moment: Moment, *steps: tuple[BaselineRow, str], ended: Iterable[Change] = ()
+    ) -> None:
+        """Store what a person made of baselines, each with the kind of its event, and of alarms, together."""
+        transaction = Transaction()
+        for change in ended:
+            transaction.add_alarm(change, moment)
         for row, kind in steps:
             transaction.change_baseline(row, kind, moment)
         self.store(transaction)

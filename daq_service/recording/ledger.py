@@ -209,10 +209,8 @@ class Ledger:
         ValueError
             It cannot be taken, and why.
         """
-        if self._assessor(position).awaits_baseline:
-            raise ValueError(
-                f"{position} has no baseline yet to compare a set with; wait until it is recorded"
-            )
+        if unjudged := self._assessor(position).unjudged_because:
+            raise ValueError(f"{position} has nothing to compare a set with: {unjudged}")
         too_late = no_room(self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns)
         if too_late:
             raise ValueError(f"{too_late}: that one says the same")

@@ -1,5 +1,6 @@
 """What changes a test, given on the page: each order names its consequence, and is never a single click."""
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import pytest
@@ -150,6 +151,31 @@ def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(fil
     expect(card).to_contain_text("C-baseline-1")
     expect(card).to_contain_text("3 of 48 so far (0 to 47)")
     expect(card).to_contain_text("with the set of hour 24.0")
+
+
+def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, service, open_page):
+    why = "a baseline of 14 sets; it needs 15"
+    nothing = {
+        "limit_f": None,
+        "limit_paper": None,
+        "distance_squared": None,
+        "outlier": None,
+        "limits": None,
+    }
+    refused = frozen_baseline("D", id=4, state="proposed", limit_f=None, limits=None, limit_reason=why)
+    verdict = replace(filled.verdict("D", 2, 1.5), **nothing, in_baseline=False, reason=why)
+    filled.catalogue.commit_set(SetCommit(baselines=[refused]))
+    filled.catalogue.commit_set(SetCommit(verdicts=[replace(verdict, set_index=3)]))
+    page = open_page(service.url, name="ann")
+    tile, card = page.locator('#tiles [data-position="D"]'), page.locator("#baseline")
+    expect(tile).to_contain_text("Not judged")
+    expect(tile).to_contain_text(why)
+    tile.click()
+    expect(card.locator("summary")).to_contain_text("Baseline of D No limits: nothing is judged")
+    card.locator("summary").press("Enter")
+    expect(card).to_contain_text(why)
+    expect(card.get_by_role("button", name="Begin another one")).to_be_visible()
+    expect(card.get_by_role("button", name="Sign it")).to_have_count(0)
 
 
 def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, service, open_page):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
+from daq_service.alarms.states import NOT_JUDGED
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -305,6 +306,10 @@ class Line:
             for given in self.given:
                 catalogue.add_command(*given)
         self.given.clear()
+
+    def alarms(self) -> list[Any]:
+        """Rows of alarms, but of those that baselines of so few sets raise: they judge nothing."""
+        return [row for row in self.rows("alarms") if row.kind != NOT_JUDGED]
 
     def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
         """Rows of a table, of one position where it has one; of a baseline without when it was written."""

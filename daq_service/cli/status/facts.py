@@ -54,7 +54,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
             counts = catalogue.counts()
-            baselines = {row.position: row for row in catalogue.rows(BaselineRow)}  # the newest stands last
+            baselines = catalogue.newest_baselines()
             return {
                 "recorder": fresh.recorder.description,
                 "recorder_state": fresh.recorder.word,
@@ -152,6 +152,8 @@ def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
     return {
         "name": row.name,
         "n_sets": row.n_sets,
+        "state": row.state,
+        "limit_reason": row.limit_reason,
         **{name: (row.readiness or {}).get(name) for name in names},
     }
 

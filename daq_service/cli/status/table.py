@@ -22,6 +22,7 @@ STYLES = {
     "retired": "bold red",
     "outlier": "yellow",
     "learning": "cyan",
+    "not_judged": "yellow",
     "normal": "green",
     "running": "green",
     "finished": "green",
@@ -106,6 +107,8 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
         baseline = row["baseline"]
+        if baseline is not None and baseline["state"] == "proposed" and baseline["limit_reason"]:
+            alike.setdefault(f"NOT JUDGED: {baseline['limit_reason']}", []).append(name)
         if baseline is None or baseline["rate_guaranteed"] is None:
             continue
         why = baseline["why_not_guaranteed"]
@@ -184,7 +187,8 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     if feature is None:
         return "-", "-", "-"
     distance = verdict["distance_squared"] if _of_the_same_set(feature, verdict) else None
-    limit = "none yet" if row["limit"] is None else f"{row['limit']:.1f}"
+    none = "none yet" if row["state"] == "learning" else "none"
+    limit = none if row["limit"] is None else f"{row['limit']:.1f}"
     told = []
     if distance is not None:
         told.append(f"D² {distance:.1f}" if distance < LARGEST_IN_FULL else f"D² {distance:.1e}")

@@ -383,7 +383,9 @@ class PositionState(Answer):
     label: str
     method: Method
     serial_number: str
-    state: Literal["no_data", "learning", "normal", "outlier", "alarm", "retired"]
+    state: Literal["no_data", "learning", "not_judged", "normal", "outlier", "alarm", "retired"] = Field(
+        description="`not_judged`: `last_verdict.reason` says why the newest set was not"
+    )
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
     data_h: float | None = Field(description="Hour of the newest set that was measured")
     data_utc: str | None

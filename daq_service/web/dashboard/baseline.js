@@ -10,6 +10,7 @@ import { giveBy } from "./orders.js";
 /** @type {Record<string, import("./icons.js").Look>} */
 const LOOKS = {
   collecting: { word: "Collecting", icon: "dots", tone: "info" },
+  unusable: { word: "No limits: nothing is judged", icon: "triangle", tone: "warn" },
   proposed: { word: "Proposed: nobody has signed it", icon: "triangle", tone: "warn" },
   approved: { word: "Approved", icon: "check", tone: "good" },
   retired: { word: "Retired", icon: "stop", tone: "" },
@@ -29,6 +30,9 @@ function whose(row) {
   if (row.state !== "approved") return "";
   return `${row.approval === "automatic" ? "automatically: nobody signed it" : `by ${row.approval}`}, ${utc(row.approved_utc)}`;
 }
+
+/** It is frozen, without limits. @param {any} row of /baselines */
+const unusable = (row) => row.state !== "collecting" && row.state !== "retired" && row.limit_reason !== null;
 
 /** @param {any} readiness of a baseline */
 function promise({ false_alarms_per_sensor_year, rate_guaranteed, why_not_guaranteed }) {
@@ -76,7 +80,7 @@ export class BaselineCard {
     if (row === undefined || shown + listens === this.shown) return;
     this.shown = shown + listens;
     this.head.textContent = `Baseline of ${position}`;
-    this.state.replaceChildren(chip(LOOKS[row.state]));
+    this.state.replaceChildren(chip(LOOKS[unusable(row) ? "unusable" : row.state]));
     const readouts = facts(row).map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })));
     const earlier = rows.slice(0, -1).map((one) => el("li", { text: `${one.name}, ${whose(one)}` }));
     this.body.replaceChildren(
@@ -109,7 +113,7 @@ export class BaselineCard {
       fields: [{ ...NOTE, input: { required: true } }],
     };
     return [
-      ...(row.state === "proposed" && may("approve_baseline") ? [this.button("Sign it", "approve_baseline", approve)] : []),
+      ...(row.state === "proposed" && !unusable(row) && may("approve_baseline") ? [this.button("Sign it", "approve_baseline", approve)] : []),
       ...(may("renew_baseline") ? [this.button("Begin another one", "renew_baseline", renew)] : []),
     ];
   }

@@ -43,6 +43,7 @@ export function icon(name) {
 export const STATES = {
   no_data: { word: "No data", icon: "dash", tone: "" },
   learning: { word: "Learning baseline", icon: "dots", tone: "info" },
+  not_judged: { word: "Not judged", icon: "triangle", tone: "warn" },
   normal: { word: "Normal", icon: "check", tone: "good" },
   outlier: { word: "Outlier", icon: "triangle", tone: "warn" },
   alarm: { word: "Alarm", icon: "bell", tone: "alarm" },

@@ -12,7 +12,7 @@ from daq_service.web.answers.models import Answer, Liveness
 from daq_service.web.many.place import Absence
 from hardware_drivers.methods import Method
 
-PositionWord = Literal["no_data", "learning", "normal", "outlier", "alarm", "retired"]
+PositionWord = Literal["no_data", "learning", "not_judged", "normal", "outlier", "alarm", "retired"]
 
 
 class PositionStanding(Answer):

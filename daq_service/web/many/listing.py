@@ -25,7 +25,15 @@ from daq_service.web.many.opened import ServedTest, ServedTests
 from daq_service.web.many.place import AbsentError, folder_of, look, reading
 from daq_service.web.routes.info import RIG_LABELS
 
-GRAVITY: tuple[PositionWord, ...] = ("no_data", "normal", "learning", "outlier", "retired", "alarm")
+GRAVITY: tuple[PositionWord, ...] = (
+    "no_data",
+    "normal",
+    "learning",
+    "not_judged",
+    "outlier",
+    "retired",
+    "alarm",
+)
 """States of positions, the gravest last: an alarm calls for somebody, a retirement was told."""
 assert set(GRAVITY) == set(get_args(PositionWord))
 CHANGING_S = 2.0

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 from daq_service.alarms.proof import proof_sentences
+from daq_service.alarms.states import NOT_JUDGED
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
@@ -152,6 +153,8 @@ def _now(contents: Contents) -> list[str]:
             limit = quantity(place.limit, 1e3, 3, "mm")
         else:
             value = f"D² {significant(verdict.distance_squared if verdict else None)}"
+            if place.state == NOT_JUDGED and verdict is not None and verdict.reason:
+                value = f"not judged: {verdict.reason}"
             limit = significant(place.limit)
             if chart := deciding_chart(verdict, contents.settings):
                 value, limit = (
@@ -161,7 +164,16 @@ def _now(contents: Contents) -> list[str]:
         age = NOT_KNOWN if place.age_h is None else f"{place.age_h:.2f} h{', stale' if place.stale else ''}"
         data_h = NOT_KNOWN if place.data_h is None else f"{place.data_h:.2f}"
         rows.append(
-            (place.name, place.state, value, limit, quality, data_h, age, str(len(last.active_alarms)))
+            (
+                place.name,
+                place.state.replace("_", " "),
+                value,
+                limit,
+                quality,
+                data_h,
+                age,
+                str(len(last.active_alarms)),
+            )
         )
     head = ("Position", "State", "Newest value", "Limit", "Quality", "Of hour", "Age", "Alarms that stand")
     return [*held, f"<p class='note'>Last written {written}.</p>", table("Newest values", head, rows)]

@@ -221,7 +221,7 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
         alarms=list(map(context.freshness().standing, catalogue.rows(AlarmRow))),
         places=catalogue.position_names(),
         annotations=catalogue.rows(AnnotationRow),
-        baselines=catalogue.baseline_states(),
+        baselines=catalogue.newest_baselines(),
     )
 
 

@@ -221,7 +221,8 @@ class _Again:
         row = self._ledger.alarms.get((event.position, kind))
         due_h = (event.utc_ns - self._epoch_utc_ns) / NS_PER_H
         moment = Moment(utc_ns=event.utc_ns, due_h=due_h, set_index=None)
-        author, note = event.payload.get("acknowledged_by") or "", event.payload.get("note") or ""
+        author = event.payload.get("author") or event.payload.get("acknowledged_by") or ""
+        note = event.payload.get("note") or ""
         change = None
         if event.kind == "alarm_raised":  # by a person's order, or by what the records do not tell
             told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}

@@ -20,6 +20,7 @@ from daq_service.cli.status.table import picture
 from daq_service.cli.terminal import console_on
 from daq_service.processes.disk_policy import LEVELS
 from daq_service.settings.tree import Settings
+from daq_service.web.report.make import report_page
 
 SETS = N_BASELINE + 2
 
@@ -201,12 +202,33 @@ def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
         filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
     facts = describe_status(filled.folder, filled.settings)
     assert facts["positions"]["A"]["baseline"] is None
-    assert facts["positions"]["B"]["baseline"] == {"name": "B-baseline-1", "n_sets": N_BASELINE, **short}
+    told_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
+    assert facts["positions"]["B"]["baseline"] == told_of_b | short
     lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("baseline")]
     assert lines == [
         "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
         "baseline  D: 0.2 false alarms a sensor and year, promised",
     ]
+
+
+def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_path: Path) -> None:
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False, judged=False)
+    why = "a baseline of 14 sets; it needs 15"
+    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": why}
+    filled.catalogue.commit_set(
+        SetCommit(
+            baselines=[frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=why)],
+            verdicts=[replace(filled.verdict("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
+        )
+    )
+    lines = status_of(filled)
+    assert line_of(lines, " D").startswith(" D  not judged  ToF ")
+    assert "  none  good, n = 1  " in line_of(lines, " D")
+    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {why}"
+    page = report_page(tmp_path).decode()
+    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {why}</td>", page)
+    filled.close()
 
 
 def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:

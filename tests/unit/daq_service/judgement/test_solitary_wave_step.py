@@ -105,7 +105,7 @@ def test_poor_sets_are_left_out_of_the_baseline_and_counted():
 def test_too_few_healthy_sets_give_no_limit_and_say_why():
     state, verdict = after([*baseline(), a_set(LAST + 1)], replace(RULES, minimum_sets=21))
     assert state.baseline.fitted is None
-    assert "baseline.minimum_sets asks for 21" in state.baseline.reason
+    assert "; it needs 21 (baseline.minimum_sets)" in state.baseline.reason
     assert (verdict.outlier, verdict.distance_squared) == (None, None)
     assert verdict.reason == state.baseline.reason
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
+from support.filled_folder import frozen_baseline
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
 from daq_service.errors import UsageError
@@ -63,7 +64,7 @@ OPEN = {
     "held": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],
-    "baselines": {"B": "proposed"},
+    "baselines": {"B": frozen_baseline("B", state="proposed")},
 }
 
 

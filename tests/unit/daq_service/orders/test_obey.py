@@ -11,7 +11,8 @@ from support.begun_experiment import begun_catalogue
 from support.filled_folder import frozen_baseline
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.alarms.states import Moment
+from daq_service.alarms.states import Condition, Moment
+from daq_service.alarms.transitions import transition
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
@@ -175,16 +176,41 @@ def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Benc
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
     state, why = bench.obey("renew_baseline", position="B", note=" ")
     assert (state, "say why the baseline is retired" in why) == ("refused", True)
-    bench.next_set = 411
+    bench.next_set = 378
     state, why = bench.obey("renew_baseline", position="B", note="a new sensor")
-    assert (state, why[:56]) == ("refused", "the plan has 14 sets left, a baseline needs 15 (baseline")
-    bench.next_set = 410
+    told = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
+    assert (state, why.startswith(told), "schedule.end_h" in why) == ("refused", True, True), why
+    bench.next_set = 377
     assert bench.obey("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
     assert baselines(bench) == [
         ("B-baseline-1", "retired", 0, 47),
-        ("B-baseline-2", "collecting", 410, 457),
+        ("B-baseline-2", "collecting", 377, 424),
     ]
+
+
+def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_who_retired_it(
+    bench: Bench,
+) -> None:
+    """Nothing has returned to normal: what they were judged by is gone."""
+    moment = Moment(utc_ns=0, due_h=HOUR, set_index=7)
+    for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
+        condition = Condition(
+            position=position, kind=kind, family="damage", severity="high", present=True, message="it changed"
+        )
+        bench.ledger.tell(condition, moment)
+    seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
+    bench.listener.listen()
+    assert bench.answer(seen)[0] == "done"
+    assert bench.obey("renew_baseline", position="B", note="coupled anew")[0] == "done"
+    assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
+    ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
+    why = "its baseline was retired: coupled anew"
+    for told in map(transition, ended):
+        assert (told["kind"], told["who"], told["why"]) == ("alarm_reset", "ann", why)
+    assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
+    bench.restart()
+    assert bench.ledger.alarms[("B", "wall_change")].state == "normal"
 
 
 def test_stop_sets_the_recorders_stop(bench: Bench) -> None:

@@ -169,7 +169,7 @@ def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
 @pytest.mark.parametrize(
     ("at", "order", "refused"),
     [
-        (3, {"position": "B"}, "B has no baseline yet"),
+        (3, {"position": "B"}, "it has no baseline yet"),
         (FIRST, {"position": "A"}, "there is no solitary-wave transducer 'A'"),
     ],
 )

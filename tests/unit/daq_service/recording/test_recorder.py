@@ -193,7 +193,7 @@ def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
     monkeypatch.setattr(RecorderCatalogue, "add_event", failing)
     assert line.run(mono_s=Seconds())
     assert "schedule_done" in {row.kind for row in line.rows("events")}
-    assert {row.state for row in line.rows("alarms")} == {"returned_unacknowledged"}
+    assert {row.state for row in line.alarms()} == {"returned_unacknowledged"}
 
 
 def test_a_stop_does_not_wait_for_the_disk(line, caplog):
@@ -258,7 +258,7 @@ class Volume:
 def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
     assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
     assert_same_rows(line, whole)
-    alarms = {row.kind: row for row in line.rows("alarms")}
+    alarms = {row.kind: row for row in line.alarms()}
     assert alarms["disk_space"].severity == "high"
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
@@ -290,7 +290,7 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
 def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, whole, free_gb, level, alarms):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
     assert [row.payload["level"] for row in told(line, "disk_space")] == [level, "ample"]
-    assert [(row.kind, row.severity) for row in line.rows("alarms")] == alarms
+    assert [(row.kind, row.severity) for row in line.alarms()] == alarms
     assert_same_rows(line, whole)
 
 
@@ -356,7 +356,7 @@ def test_an_alarm_that_a_crash_kept_from_its_rows_is_raised_by_the_next_start(li
     archive = MemoryArchive(line.shelf)
     archive.set_aside(archive.store_set(next(iter(whole.shelf.sets.values()))).file)
     line.run()
-    assert [row.kind for row in line.rows("alarms")] == ["data_damaged"]
+    assert [row.kind for row in line.alarms()] == ["data_damaged"]
 
 
 def test_a_recorder_whose_supervisor_is_gone_says_so(line):

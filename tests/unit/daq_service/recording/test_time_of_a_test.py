@@ -172,14 +172,14 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
 
     def look():
         waited.append(laboratory.doing)
-        assert [row.state for row in laboratory.line.rows("alarms")] == ["unacknowledged"]
+        assert [row.state for row in laboratory.line.alarms()] == ["unacknowledged"]
         laboratory.machine.utc_ns = set_to_ns
 
     laboratory.machine.after(1.0 / 60.0, look)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert waited[0].startswith("waiting for a set clock: the system's clock says 2010-01-01T00:0")
-    (alarm,) = laboratory.line.rows("alarms")
+    (alarm,) = laboratory.line.alarms()
     assert (alarm.kind, alarm.family, alarm.state) == ("clock_doubted", "device", "returned_unacknowledged")
     assert "is before what was stored last (2024-01-01T0" in alarm.message
     assert laboratory.told("clock_step") == []
@@ -216,7 +216,7 @@ def test_100_h_later_an_unsynchronised_clock_is_doubted_until_it_is_synchronised
     assert laboratory.run()
     assert rows_meanwhile == [4], "no gap row while it is doubted"
     assert_every_set_once_in_order(laboratory)
-    (alarm,) = laboratory.line.rows("alarms")
+    (alarm,) = laboratory.line.alarms()
     assert "100 h after what was stored last" in alarm.message
     assert "clock.doubt_after_h = 72 h" in alarm.message
     assert alarm.state == "returned_unacknowledged"
@@ -231,7 +231,7 @@ def test_a_long_gap_is_believed_of_a_synchronised_clock_and_a_short_one_of_any(
     laboratory.machine.synchronised = synchronised
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=range(4, SETS))
-    assert laboratory.line.rows("alarms") == []
+    assert laboratory.line.alarms() == []
 
 
 def test_a_person_may_trust_a_doubted_clock(laboratory):
@@ -245,7 +245,7 @@ def test_a_person_may_trust_a_doubted_clock(laboratory):
         order = catalogue.command(1)
     assert order.state == "done"
     assert order.result.startswith("the system's clock is trusted")
-    assert [row.state for row in laboratory.line.rows("alarms")] == ["returned_unacknowledged"]
+    assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
 def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_a_restart(laboratory):
@@ -271,7 +271,7 @@ def test_a_recorder_killed_while_it_doubts_leaves_no_time_to_go_on_with(laborato
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert laboratory.told("clock_step") == laboratory.told("clock_believed") == []
-    assert [row.state for row in laboratory.line.rows("alarms")] == ["returned_unacknowledged"]
+    assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
 def test_a_stop_while_the_clock_is_doubted_leaves_every_set_due(laboratory):
@@ -282,7 +282,7 @@ def test_a_stop_while_the_clock_is_doubted_leaves_every_set_due(laboratory):
     laboratory.machine.after(0.02, stop.set)
     assert not laboratory.run(stop=stop)
     assert len(laboratory.line.rows("sets", "B")) == 4
-    assert [row.state for row in laboratory.line.rows("alarms")] == ["unacknowledged"]
+    assert [row.state for row in laboratory.line.alarms()] == ["unacknowledged"]
     laboratory.machine.utc_ns = true_ns + 6 * 60 * NS_PER_S
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)

@@ -97,7 +97,7 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
 def test_what_people_did_and_sets_without_a_record_are_judged_where_they_stood(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
-    assert {one.kind for one in found.alarms.kept} == {"no_data", "retired"}
+    assert {one.kind for one in found.alarms.kept} == {"no_data", "retired", "not_judged"}
     # D has two poor sets running in set 3, and was reinstated before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
     assert raised(later.go) == {("D", "no_data"): 3}

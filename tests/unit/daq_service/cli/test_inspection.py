@@ -1,0 +1,37 @@
+"""What `check-config` says of a planned test."""
+
+from pathlib import Path
+
+import pytest
+
+from daq_service.cli.inspection import print_configuration
+
+NEEDS = "it needs at least 15, 200 and more are advised"
+
+
+@pytest.mark.parametrize(
+    ("text", "n_sets", "warning"),
+    [
+        ("", 48, ""),
+        ("[baseline]\nhours = 7.5", 15, ""),
+        ("[baseline]\nhours = 5.0", 10, "the plan has 425 sets, and baseline.hours = 5 takes 10 "),
+        ("[schedule]\nend_h = 24.0", 48, "the plan has 48 sets, and baseline.hours = 24 takes 48 "),
+        ("[schedule]\nend_h = 24.5", 48, ""),
+        (
+            "[baseline]\nminimum_sets = 7\nhours = 7.0",
+            14,
+            "the plan has 425 sets, and baseline.hours = 7 takes 14 ",
+        ),
+    ],
+)
+def test_a_baseline_that_could_judge_nothing_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, n_sets: int, warning: str
+) -> None:
+    (tmp_path / "test.toml").write_text(text, encoding="utf-8")
+    print_configuration(
+        config=tmp_path / "test.toml", data_dir=tmp_path / "data", schema=False, as_json=False
+    )
+    told = capsys.readouterr()
+    assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in told.out
+    whole = f"WARNING: nothing would be judged: {warning}of each transducer; {NEEDS}, and sets behind it\n"
+    assert told.err == (whole if warning else "")

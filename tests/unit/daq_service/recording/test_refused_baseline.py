@@ -1,0 +1,72 @@
+"""A baseline that came out without limits: nobody takes it for one, and a person ends it."""
+
+import pytest
+from support.memory_line import Line, healthy, memory_settings, silent
+
+from daq_service.alarms.transitions import transition
+from daq_service.catalogue.rows import CommandRow
+from daq_service.cli.status.facts import describe_status
+
+LAST = 14
+REASON = (
+    "a baseline of 14 sets; it needs 15 (baseline.minimum_sets); `solimon renew-baseline` begins another one"
+)
+
+
+@pytest.fixture(scope="module", params=["automatic", "by_a_person"])
+def line(request, tmp_path_factory):
+    """B lacks a set of its baseline; set 16 is struck while people try to go on all the same."""
+    settings = memory_settings(
+        schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
+        baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": request.param},
+    )
+    line = Line(tmp_path_factory.mktemp("data"), settings, listen_every_s=0.0)
+    orders = {
+        ("B", LAST + 2): [("approve_baseline", {"position": "B"}), ("confirm", {"position": "B"})],
+        ("C", LAST + 2): [("renew_baseline", {"position": "B", "note": "a hold"})],
+    }
+    line.seen = {}
+
+    def script(key):
+        for kind, arguments in orders.pop((key.position, key.set_index), ()):
+            line.seen.setdefault(kind, describe_status(line.folder, settings)["positions"]["B"])
+            line.order(kind, **arguments)
+        return silent("noisy") if (key.position, key.set_index) == ("B", 3) else healthy(key)
+
+    line.script = script
+    line.run()
+    return line
+
+
+def test_it_is_not_approved_and_says_what_helps(line):
+    first, second = line.rows("baselines", "B")
+    assert (first.state, first.approved_utc_ns, first.limit_reason) == ("retired", None, REASON)
+    assert second.limit_reason is None
+    frozen = [row.payload for row in line.rows("events", "B") if row.kind == "baseline_frozen"]
+    assert frozen[0]["state"] == "proposed", "nobody approves what judges nothing"
+
+
+def test_its_transducer_is_told_not_to_be_judged(line):
+    for told in line.seen.values():
+        assert (told["state"], told["last_verdict"]["reason"]) == ("not_judged", REASON)
+        assert told["baseline"]["limit_reason"] == REASON
+    assert line.seen.keys() == {"approve_baseline", "confirm", "renew_baseline"}
+
+
+def test_it_is_neither_signed_nor_compared_with(line):
+    with line.catalogue() as catalogue:
+        answers = {row.kind: (row.state, row.result) for row in catalogue.rows(CommandRow)}
+    assert answers["approve_baseline"] == ("refused", f"the baseline of B has no limits: {REASON}")
+    assert answers["confirm"] == ("refused", f"B has nothing to compare a set with: {REASON}")
+    assert answers["renew_baseline"][0] == "done"
+
+
+def test_an_alarm_says_so_until_it_is_retired(line):
+    (row,) = line.rows("alarms")
+    assert (row.position, row.kind, row.severity, row.raised_set_index) == ("B", "not_judged", "medium", LAST)
+    assert row.message == f"nothing is judged at B: {REASON}"
+    history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
+    assert [(told["kind"], told["who"], told["why"]) for told in history] == [
+        ("alarm_raised", None, row.message),
+        ("alarm_reset", "Ada", "its baseline was retired: a hold"),
+    ]
