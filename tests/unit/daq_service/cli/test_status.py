@@ -224,7 +224,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_
     )
     lines = status_of(filled)
     assert line_of(lines, " D").startswith(" D  not judged  ToF ")
-    assert "  none  good, n = 1  " in line_of(lines, " D")
+    assert "  none  -  good, n = 1  " in line_of(lines, " D")
     assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {why}"
     page = report_page(tmp_path).decode()
     assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {why}</td>", page)

@@ -185,9 +185,9 @@ def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_cod
     assert path.name in damaged.stderr
 
 
-def test_an_alarm_of_the_wall_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
+def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
     before = content_of(line.folder)
-    done = explain(line.folder, alarm_id_of(line, "wall_change", "B"), tmp_path, "--json")
+    done = explain(line.folder, alarm_id_of(line, "transducer_change", "B"), tmp_path, "--json")
     told = json.loads(done.stdout)
     assert done.returncode == 0
     assert content_of(line.folder) == before
@@ -221,7 +221,7 @@ def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(
 
 def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
     folder = changed_line(VerdictRow, 20, distance_squared=1.0)
-    done = explain(folder, alarm_id_of(line, "wall_change", "B"), tmp_path / "out", "--json")
+    done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
     told = json.loads(done.stdout)
     (difference,) = told["recomputed"]["differences"]
     assert (done.returncode, told["agrees"]) == (0, False)
@@ -249,7 +249,7 @@ def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(afte
     shutil.copytree(line.folder, folder)
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
         catalogue.restore([after(row) for row in catalogue.rows(BaselineRow, position="B")])
-    done = explain(folder, alarm_id_of(line, "wall_change", "B"), tmp_path / "out", "--json")
+    done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
     told = json.loads(done.stdout)
     assert (told["agrees"], told["recomputed"]["differences"]) == (True, [])
 
@@ -257,13 +257,13 @@ def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(afte
 def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_told(
     changed_line, line, tmp_path
 ):
-    wall = alarm_id_of(line, "wall_change", "B")
+    change = alarm_id_of(line, "transducer_change", "B")
     unknown = explain(line.folder, 77, tmp_path / "out")
     assert unknown.returncode == 2
     assert "there are" in unknown.stderr
-    assert f"{wall} (wall_change at B)" in unknown.stderr
+    assert f"{change} (transducer_change at B)" in unknown.stderr
     folder = changed_line(FeatureRow, 20, extractor_version="1.1")
-    foreign = explain(folder, wall, tmp_path / "out")
+    foreign = explain(folder, change, tmp_path / "out")
     assert foreign.returncode == 2
     assert f"of the extractor 1.1, this version of solimon has {EXTRACTOR_VERSION}" in foreign.stderr
     mixed = solimon_here("replay", str(folder), env={})
@@ -274,7 +274,7 @@ def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_to
         catalogue.restore([replace(row, extractor_version=EXTRACTOR_VERSION) for row in rows])
     path = next(folder.glob("sets/*000004*"))
     path.write_bytes(path.read_bytes()[:5000])
-    damaged = explain(folder, wall, tmp_path / "out")
+    damaged = explain(folder, change, tmp_path / "out")
     assert damaged.returncode == 4
     assert path.name in damaged.stderr
     assert not (tmp_path / "out").exists()
