@@ -267,3 +267,38 @@ def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
     assert "This alarm is not recomputed" in (tmp_path / f"alarm-{told['alarm']['id']}.html").read_text(
         encoding="utf-8"
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("replay", "{}"),
+        ("explain", "1", "--data-dir", "{}"),
+        ("reproduce", "--from", "{}", "--out", "{}-out"),
+        ("export", "--data-dir", "{}", "--hdf5", "{}.h5"),
+    ],
+)
+def test_a_lost_catalogue_is_told_with_the_word_that_makes_it_again(line, tmp_path, words):
+    folder = tmp_path / "lost"
+    shutil.copytree(line.folder, folder, ignore=shutil.ignore_patterns("catalogue.sqlite*"))
+    done = solimon_here(*(word.format(folder) for word in words), env={})
+    assert done.returncode == 4
+    assert f"the catalogue of {folder} is lost" in done.stderr
+    assert f"solimon rebuild --data-dir {folder}" in done.stderr
+
+
+def test_a_damaged_set_is_told_with_the_word_that_brings_it_back(line, tmp_path):
+    folder = tmp_path / "damaged"
+    shutil.copytree(line.folder, folder)
+    path = next(folder.glob("sets/*000004*"))
+    path.write_bytes(path.read_bytes()[:5000])
+    done = solimon_here("replay", str(folder), "--extract", env={})
+    assert done.returncode == 4
+    assert path.name in done.stderr
+    assert "bring it back from a backup: solimon repair --from BACKUP" in done.stderr
+
+
+def test_a_folder_without_a_test_waits_for_the_recorder(tmp_path):
+    done = solimon_here("replay", str(tmp_path), env={})
+    assert done.returncode == 4
+    assert "no data yet; start `solimon record` or wait for it" in done.stderr
