@@ -103,7 +103,8 @@ def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray
     x = np.where(np.isfinite(x), x, np.nan)
     baseline = np.ma.masked_invalid(x[np.asarray(in_baseline, dtype=bool)])
     mean = np.asarray(baseline.mean(axis=0).filled(np.nan))
-    sd = np.asarray(baseline.std(axis=0, ddof=1).filled(np.nan))
+    with np.errstate(over="ignore"):  # of a table that is refused for it
+        sd = np.asarray(baseline.std(axis=0, ddof=1).filled(np.nan))
     sd = np.where(sd > SMALLEST_SD * np.abs(mean), sd, np.nan)
     return np.asarray((x - mean) / sd), np.where(np.isfinite(sd), sd, 1.0)
 

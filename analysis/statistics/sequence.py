@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.errors import AnalysisError, NotEnoughSetsError
+from analysis.errors import AnalysisError, NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.baseline_check import Named, named_in
+from analysis.statistics.baseline_check import CORE, Named, named_in
 from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.mewma import mcusum, mewma
@@ -111,10 +111,10 @@ def assess(
         one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
-    x = _scaled(np.where(np.isfinite(x), x, np.nan), healthy)
+    x = np.where(np.isfinite(x), x, np.nan)
     if healthy.sum() < MINIMUM_SETS:
         return Assessed(refused=_too_few(int(healthy.sum()), "rows"))
-    varies = _varies(x[healthy])
+    varies = _varies(_scaled(x, healthy)[healthy])
     dropped = tuple(name for name, kept in zip(feature_names, varies, strict=True) if not kept)
     names = [name for name, kept in zip(feature_names, varies, strict=True) if kept]
     if not names:
@@ -148,7 +148,7 @@ def _varies(baseline: FloatArray) -> np.ndarray:
 
 
 def _judged(
-    x: FloatArray,
+    measured: FloatArray,
     healthy: np.ndarray,
     names: Sequence[str],
     dropped: tuple[str, ...],
@@ -157,6 +157,7 @@ def _judged(
     *,
     textbooks: bool,
 ) -> Assessed:
+    x = _scaled(measured, healthy)
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
     if rows.size < MINIMUM_SETS:
@@ -167,6 +168,7 @@ def _judged(
             f"{healthy.sum()} have"
         )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
+    named = _named(measured[rows], x[rows], rows, names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
@@ -191,10 +193,7 @@ def _judged(
         phi_pooled=design.phi_pooled,
         tail=design.by_default.tail,
         suspects=baseline.suspects,
-        named=tuple(
-            Named(kind=found.kind, rows=tuple(int(rows[row]) for row in found.rows))
-            for found in named_in(x[rows])
-        ),
+        named=named,
         left_out=_left_out(complete, healthy, after),
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
@@ -211,6 +210,30 @@ def _judged(
         chart=statistics[CHART],
         unbroken=_placed(len(x), judged, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
+
+
+def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]) -> tuple[Named, ...]:
+    """Name what stands out of the baseline, or refuse it where next to one value the rest is none."""
+    middle = np.quantile(measured, 0.5, axis=0, method="lower")
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        away = np.abs(measured - middle)
+        usual = np.quantile(away, CORE, axis=0)
+        times = np.nan_to_num(away.max(axis=0) / usual, nan=np.inf)
+    at = int(times.argmax())
+    farthest = int(away[:, at].argmax())
+    lone = (
+        f"{names[at]} of row {rows[farthest]} is {measured[farthest, at]:.4g}, where most of the baseline is "
+        f"within {usual[at]:.2g} of {middle[at]:.4g}: next to it the others do not scatter; correct or empty "
+        f"that cell, or leave {names[at]} out"
+    )
+    if usual[at] > 0.0 and times[at] > FARTHEST:
+        raise SingularCovarianceError(lone)
+    try:
+        found = named_in(x)
+    except np.linalg.LinAlgError as error:
+        alike = "in most of the baseline a feature is a combination of the others: leave one out"
+        raise SingularCovarianceError(alike if usual[at] > 0.0 else lone) from error
+    return tuple(Named(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
 
 
 def _statistics(

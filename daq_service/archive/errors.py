@@ -15,6 +15,9 @@ from __future__ import annotations
 
 from daq_service.errors import StorageError, StorageUnavailableError
 
+BACK = "bring it back from a backup: solimon repair --from BACKUP"
+"""What helps a file that is damaged or gone."""
+
 
 class ArchiveError(StorageError):
     """A set cannot be stored or read."""

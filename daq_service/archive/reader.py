@@ -20,6 +20,7 @@ from h5py import h5a
 from numpy.typing import NDArray
 
 from daq_service.archive.errors import (
+    BACK,
     ArchiveError,
     ArchiveReadError,
     CorruptArchiveError,
@@ -230,10 +231,9 @@ def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> 
 
 
 def _damaged(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
-    return CorruptArchiveError(
-        f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
-        "this file belongs back from a copy"
-    )
+    error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
+    error.add_note("read_set(..., skip_damaged=True) reads its other records")
+    return error
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
@@ -518,7 +518,7 @@ def opened_set(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]
     except HDF5_ERRORS as error:
         if isinstance(error, OSError) and error.errno in _NOT_NOW:
             raise ArchiveReadError(f"{path} cannot be read now: {error}; end other programs") from error
-        raise CorruptArchiveError(f"{path} is damaged: {error}; bring the file back from a copy") from error
+        raise CorruptArchiveError(f"{path} is damaged: {error}; {BACK}") from error
 
 
 def _text(value: Any) -> str:

@@ -16,6 +16,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from daq_service.errors import StorageError, StorageUnavailableError
 
 
@@ -24,7 +26,17 @@ class CatalogueError(StorageError):
 
 
 class NoDataYetError(CatalogueError):
-    """Nothing has been recorded in this folder yet."""
+    """Nothing has been recorded in this folder yet.
+
+    Attributes
+    ----------
+    folder
+        Of the test, where its catalogue may be lost instead; None: nothing of a test is there.
+    """
+
+    def __init__(self, message: str, folder: Path | None = None) -> None:
+        super().__init__(message)
+        self.folder = folder
 
 
 class NetworkFolderError(CatalogueError):

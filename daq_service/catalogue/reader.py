@@ -316,7 +316,8 @@ class Catalogue:
         row = self._newest_row(ExperimentRow)
         if row is None:
             raise NoDataYetError(
-                f"{self._path}: the experiment has not begun; start `solimon record` or wait for it"
+                f"{self._path}: the experiment has not begun; start `solimon record` or wait for it",
+                self._path.parent,
             )
         return row
 

@@ -156,15 +156,15 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
 
 def _open_reader(path: Path) -> Catalogue:
-    waiting = f"{path}: no data yet; start `solimon record` or wait for it"
+    waiting = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
     if not path.is_file():
-        raise NoDataYetError(waiting)
+        raise waiting
     engine = reading_engine(path)
     try:
         with translated(path, "opening"):
             found = revision_of(engine)
         if found is None:
-            raise NoDataYetError(waiting)
+            raise waiting
         if found != SCHEMA_REVISION:
             raise _other_schema(path, found)
         catalogue = Catalogue(path, engine)

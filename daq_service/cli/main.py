@@ -10,13 +10,20 @@ import math
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from daq_service.errors import EXIT_FAULT, EXIT_INTERRUPTED, SolimonError, StorageUnavailableError
+from daq_service.errors import (
+    EXIT_FAULT,
+    EXIT_INTERRUPTED,
+    SolimonError,
+    StorageError,
+    StorageUnavailableError,
+)
 
 
 class _Positive(click.FloatRange):
@@ -710,9 +717,21 @@ def main() -> None:
     except StorageUnavailableError as error:
         _end(f"{error}, then start again", error.exit_code)
     except SolimonError as error:
-        _end(str(error), error.exit_code)
+        _end(_in_words(error), error.exit_code)
     except Exception as error:  # noqa: BLE001 - the end of the line: whatever it is has a code and one line
         _end(f"unforeseen, please report it: {_where(error)}{type(error).__name__}: {error}", EXIT_FAULT)
+
+
+def _in_words(error: SolimonError) -> str:
+    """Say what is wrong; that a catalogue is lost, where its reader only missed it."""
+    if isinstance(error, StorageError):
+        from daq_service.catalogue.errors import NoDataYetError
+        from daq_service.processes.lost_catalogue import lost_because
+
+        if isinstance(error, NoDataYetError) and error.folder is not None:
+            with suppress(StorageError):  # what lies beside it cannot be read either
+                return lost_because(error.folder) or str(error)
+    return str(error)
 
 
 def _where(error: Exception) -> str:

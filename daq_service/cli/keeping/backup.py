@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daq_service.archive.errors import BACK
 from daq_service.archive.journal.frames import frames
 from daq_service.archive.journal.reader import contents, read_journal, segment_path, segments
 from daq_service.archive.records import (
@@ -29,7 +30,7 @@ from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import CatalogueLook
-from daq_service.cli.keeping.verify import BACK, NOWHERE, Finding, expected_sha256
+from daq_service.cli.keeping.verify import NOWHERE, Finding, expected_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
 from daq_service.processes.disk_policy import RESERVE_FILE

@@ -38,6 +38,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError, StorageUnavailableError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
+from daq_service.processes.lost_catalogue import lost_because
 from daq_service.shared_file import write_durably
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -151,8 +152,12 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
     ------
     UsageError
         There is no test in the folder; the file exists, or would lie among what is the test's own.
+    StorageError
+        The test's catalogue is lost.
     """
     if not (folder / FILE_NAME).is_file():
+        if told := lost_because(folder):
+            raise StorageError(told)
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"
         )

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from daq_service.archive import SetNotFoundError, SetRecord, SetReference
+from daq_service.archive.errors import BACK
 from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
@@ -59,7 +60,6 @@ TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 MOST_BEHIND_S = 60.0
 """A history that is further behind was cut off, or could not be written: it follows within a second."""
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
-BACK = "bring it back from a backup: solimon repair --from BACKUP"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS = {
     "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),

@@ -117,10 +117,11 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
     settings = _settings(path, file, own)
     progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
     shots, of_position = [], defaultdict(list)
+    any_settings = next(iter(settings.values()))
     failed: list[UsageError] = []
     for index, record in enumerate(file.records(1)):
-        own_settings = settings.get(record.position) or next(iter(settings.values()))
         try:
+            own_settings = settings.get(record.position, any_settings)
             shots.append(_extracted(f"{path}, record {index}", record, own_settings))
         except UsageError as error:
             failed.append(error)
@@ -130,8 +131,15 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
             progress.advance(1)
     if len(failed) == len(shots):
         raise failed[0]
+    if inverted := sum("inverted" in shot.flags for shot in shots):
+        click.echo(
+            f"{path}: {inverted} of {len(shots)} records are inverted, their waves go down and have no "
+            "features: reverse the sign of the values, or swap the PZT's leads",
+            err=True,
+        )
     for position, indices in of_position.items():
-        template = _template(own, learnt([shots[index] for index in indices]))
+        width_s = settings.get(position, any_settings).isw_fwhm_s
+        template = _template(own, learnt([shots[index] for index in indices]), width_s)
         if template is not None:
             at = f"{path}{f', {position}' if position else ''}"
             click.echo(f"{at}: {_in_words(template)}", err=True)
@@ -190,15 +198,15 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
         ) from error
 
 
-def _template(own: Own, found: Template | None) -> Template | None:
-    """Put what is told before what was learnt."""
+def _template(own: Own, found: Template | None, width_s: float) -> Template | None:
+    """Put what is told before what was learnt; the records were sought with a width in any case."""
     told: dict[str, Any] = {
         name: value
         for name, value in (("isw_fwhm_s", own.isw_fwhm_s), ("isw_amplitude_v", own.isw_amplitude_v))
         if value is not None
     }
     if found is None:
-        return Template(**told) if len(told) == 2 else None
+        return None if own.isw_amplitude_v is None else Template(**{"isw_fwhm_s": width_s} | told)
     return replace(found, **told)
 
 

@@ -37,6 +37,8 @@ from daq_service.errors import UsageError
 
 DOUBTED_BY_CHANCE = 0.01
 """Chance that as many healthy baselines are doubted, below which it is none."""
+FARTHEST_SD = 1e30
+"""Of a set from its baseline; float32 holds no more."""
 Read = Callable[[Path], TableFile]
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
@@ -88,7 +90,8 @@ def deviations(path: Path, read: Read) -> Deviations:
     """Read a table for the first time."""
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
-    return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z.astype(np.float32))
+    z = np.clip(z, -FARTHEST_SD, FARTHEST_SD).astype(np.float32)
+    return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z)
 
 
 def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int) -> Beside:

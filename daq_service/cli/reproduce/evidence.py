@@ -19,6 +19,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, SetRow, ThicknessRow, VerdictRow
 from daq_service.errors import StorageError
+from daq_service.processes.lost_catalogue import lost_because
 
 FloatArray = NDArray[np.float64]
 
@@ -188,7 +189,8 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
-            f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
+            lost_because(folder)
+            or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
     if not counts["sets"]:

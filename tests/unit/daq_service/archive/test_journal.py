@@ -182,8 +182,10 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
         chunk = opened["entry/B_waveforms/waveform"].id.get_chunk_info(0)
     changed[chunk.byte_offset + 30] ^= 0xFF
     file.write_bytes(changed)
-    with pytest.raises(CorruptArchiveError, match="belongs back from a copy"):
+    with pytest.raises(CorruptArchiveError, match="backup: solimon repair --from BACKUP") as caught:
         compact_set(tmp_path, SET_INDEX)
+    assert "skip_damaged" not in str(caught.value)
+    assert "skip_damaged=True" in caught.value.__notes__[0]  # for who reads it in Python
     whole = make_set()
     other = replace(whole.shots[0], waveform=replace(whole.shots[0].waveform, counts=counts_of(99, 300)))
     file.write_bytes(build_image(replace(whole, shots=[other, *whole.shots[1:]])))

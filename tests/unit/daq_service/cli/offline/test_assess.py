@@ -178,6 +178,29 @@ def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it
     assert bad["refused"].endswith("leave out c, which 0 of 40 have")
 
 
+@pytest.mark.parametrize("absurd", [1e120, -1e200, 1e308])
+@pytest.mark.parametrize("fleet", [[], ["--fleet"]])
+def test_an_absurd_value_ends_no_run(tmp_path, tables, vectors, absurd, fleet):
+    for row in (10, 80):
+        cells = vectors.copy()
+        cells[row, 2] = absurd
+        np.save(tmp_path / f"{row}.npy", cells)
+    paths = (tables[".npy"], tmp_path / "10.npy", tmp_path / "80.npy")
+    good, before, after = told(*paths, "--baseline-rows", 40, *fleet)
+    assert f"2 of row 10 is {absurd:.4g}" in before["refused"]
+    assert "correct or empty that cell, or leave 2 out" in before["refused"]
+    assert good["refused"] is after["refused"] is None
+    assert after["first"]["f_budget"] == 80
+
+
+def test_a_feature_that_is_the_same_in_most_of_a_baseline_is_refused_by_name(tmp_path, vectors):
+    cells = vectors.copy()
+    cells[:, 3] = np.arange(len(cells)) % 10 == 7
+    np.save(tmp_path / "a.npy", cells)
+    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
+    assert bad["refused"].startswith("3 of row 7 is 1, where most of the baseline is within 0 of 0")
+
+
 def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
     (bad,) = told(tables[".csv"], "--baseline-where", "part=good")
     assert bad["refused"].endswith("no row has part=good; there is healthy, test")

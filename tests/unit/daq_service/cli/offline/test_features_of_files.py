@@ -122,6 +122,19 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     assert rows[5]["tof_mf_s"] is None
 
 
+def test_one_record_is_compared_with_an_amplitude_told_alone(tmp_path):
+    path = saved(tmp_path, 0.15 * volts(n=1))
+    assert told(path)[0]["flags"] == []
+    assert told(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
+
+
+def test_waves_that_go_down_are_told_with_what_turns_them(tmp_path):
+    answer = CliRunner().invoke(cli, ["features", str(saved(tmp_path, -volts(n=3))), "--json"])
+    assert [row["flags"] for row in json.loads(answer.stdout)["records"]] == [["inverted"]] * 3
+    assert answer.stderr.count("3 of 3 records are inverted") == 1
+    assert "reverse the sign of the values" in answer.stderr
+
+
 @pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200])
 def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
     values = volts()
