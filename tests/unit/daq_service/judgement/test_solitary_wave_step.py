@@ -10,6 +10,7 @@ from analysis.statistics.limits import f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
 from analysis.waves.features import FEATURE_NAMES
+from daq_service.judgement.readiness import ALIKE, readiness_of
 from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, reinstated, step
 
 LAST = 19
@@ -227,3 +228,18 @@ def test_a_limit_is_added_by_its_entry_alone(monkeypatch):
     assert state.baseline.limits["twice"] == 2 * state.baseline.limits["default"]
     assert verdict.outlier is False
     assert after(sets)[1].outlier is True
+
+
+def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
+    """As of records that are played back again and again."""
+    name = FEATURE_NAMES[0]
+    stuck = [
+        replace(one, values=one.values | {name: 1.0 if one.set_index % 4 else one.values[name]})
+        for one in baseline()
+    ]
+    state, _ = after(stuck)
+    told = readiness_of(state, RULES)
+    assert (told["named"], told["n"]) == ([], LAST + 1)
+    assert told["advice"].endswith(f"; {ALIKE}")
+    state, verdict = step(state, a_set(LAST + 1, shift=1.0), RULES)
+    assert verdict.outlier
