@@ -405,12 +405,11 @@ def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSett
     """Whether the quiet stretch before the ISW or the end of the record leaves the quiet level.
 
     Both are taken as 10-us means: a range above the stated fraction of the ISW and above six standard
-    deviations of white noise cannot be noise. At the end a wave may pass, and leaves the level somewhere.
+    deviations of white noise cannot be noise.
     """
     width = max(1, round(10e-6 / record.step_s))
     end = record.blocks_v[-10 * width :]
-    end = end[end.size % width :].reshape(-1, width).sum(axis=1) / width
-    tail = max(float(end.min()), -float(end.max())) if end.size else 0.0
+    tail = end.sum() / end.size
     # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
     foot_s = FOOT_PER_FWHM * isw.fwhm_s if math.isfinite(isw.fwhm_s) else 0.0
     foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
@@ -418,7 +417,7 @@ def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSett
     steps = quiet.reshape(-1, width).sum(axis=1) / width
     noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
     limit = max(settings.baseline_drift_fraction * isw.amplitude_v, 6.0 * noise)
-    return bool(tail > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
+    return bool(abs(tail) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
 
 
 def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> dict[str, float]:

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 ALARM = "the change of the wall became an alarm with it"
 STEP = "it is the first set beyond the limit"
-ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
-"""Kinds of alarm whose proof says what a confirmation set says: one turns into the other with the cause."""
 BUDGET_H = 24.0
 """Hours of the test over which confirmation sets are counted."""
 CONFIRMATION_ASKED = "confirmation_asked"

@@ -24,7 +24,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.template import compared_with_others, learnt
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
-from daq_service.alarms.states import NOT_JUDGED, Condition
+from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
@@ -349,7 +349,7 @@ class SolitaryWaveAssessor:
         baseline = self._state.baseline
         return Condition(
             position=self.position,
-            kind=NOT_JUDGED,
+            kind="not_judged",
             family="device",
             severity="medium",
             present=baseline is not None and baseline.fitted is None,

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daq_service.alarms.states import NOT_JUDGED, reset
-from daq_service.judgement.confirmation import ALARMS_OF_CHANGE
+from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_JUDGED, reset
 from daq_service.judgement.life import APPROVED, COLLECTING, RETIRED, renewed, signed
 from daq_service.orders.kinds import WRITTEN, Facts, Refusal, TransducerArguments, TransducerOrder
 

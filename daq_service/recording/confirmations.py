@@ -11,11 +11,10 @@ from dataclasses import asdict
 from typing import Any
 
 from daq_service.acquisition.schedule import DueSet, beside_the_plan, due_hours
-from daq_service.alarms.states import Condition, Moment, retired_positions
+from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, retired_positions
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.judgement.confirmation import (
-    ALARMS_OF_CHANGE,
     CONFIRMATION_ASKED,
     Confirmation,
     Confirmed,

@@ -12,14 +12,22 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, followed
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
-from daq_service.alarms.states import Condition, Moment, expired, proven_by, retired_positions, update
+from daq_service.alarms.states import (
+    ALARMS_OF_CHANGE,
+    Condition,
+    Moment,
+    expired,
+    proven_by,
+    retired_positions,
+    update,
+)
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment, Assessor
-from daq_service.judgement.confirmation import ALARMS_OF_CHANGE, confirmed, no_room
+from daq_service.judgement.confirmation import confirmed, no_room
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.confirmations import Confirmations

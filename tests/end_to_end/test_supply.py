@@ -135,7 +135,7 @@ def test_a_person_switches_it_on_each_set_logs_it_and_the_end_switches_it_off(
     stored = read_set(set_files(folder)[5])
     assert stored.environment["supply_state"] == "on"
     assert stored.environment["charge_coulomb"] == pytest.approx(last.charge_coulomb, rel=0.2)
-    assert alarms(folder) == {}
+    assert alarms(folder).keys() <= {"not_judged"}, "its baseline has two sets"
 
 
 def test_a_restart_goes_on_counting_and_switches_nothing(

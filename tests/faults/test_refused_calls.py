@@ -82,6 +82,7 @@ def wrong(told):
         "the alarm stays": all(
             state == ("unacknowledged" if kind == "data_damaged" else "returned_unacknowledged")
             for kind, state in told["alarms"]
+            if kind != "not_judged"  # of so few sets no baseline has limits
         ),
         "it is not set aside": told["set_aside"] == [Path(DAMAGED).name] * bool(told.get("damaged")),
         "it was told late": told["lasted_s"] < TOLD_WITHIN_S
