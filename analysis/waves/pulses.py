@@ -375,7 +375,7 @@ def _second_reflection(
     """Whether the wall sends back a second strike, too, whose own wave the first one's reflection hides.
 
     It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
-    the second strike than the first: that is where the PSW hides it, so by about its time of flight.
+    the second strike than the first. The PSW hides one that came about its time of flight after the first.
     """
     tof_s = psw.matched_time_s - isw.matched_time_s
     if tof_s > settings.second_reflection_latest_tof_s:
