@@ -82,7 +82,7 @@ class ExtractionSettings:
     second_reflection_latest_s: float = 520e-6
     """After the PSW: what the second strike came after the first, and more since smaller waves are slower."""
     second_reflection_from_tof_s: float = 90e-6
-    """By how much a hidden strike, and the longer way of its smaller wave, may differ from that (assumption)."""
+    """By how much a hidden strike, and its slower wave, may differ from that (assumption)."""
     second_reflection_latest_tof_s: float = 480e-6
     """Beyond, a thinned patch itself sends waves at that time, and a second strike comes before the PSW."""
     double_above_amplitude_ratio: float = 0.97
