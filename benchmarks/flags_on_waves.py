@@ -1,10 +1,11 @@
 """How often waves that are not a transducer's own are flagged, and its own are not, at 20, 30 and 40 dB.
 
     python benchmarks/flags_on_waves.py [--records N] [--seed S] [--walls one|any]
-        [--shape twin|cos4|gauss|sech2]
+        [--shape twin|cos4|gauss|sech2] [--noise-ends-hz HZ]
 
 Records are of the twin's noise-free waves at any depth from 0 to 80 %, of two sizes of patch, or of drawn
-pulses with a reflection of .38-.58 after 320-480 us; white noise is the only noise. Each is the tenth shot
+pulses with a reflection of .38-.58 after 320-480 us; the only noise is white, or of the same rms but with
+nothing above ``--noise-ends-hz``, so that it is stronger in the wave's own band. Each is the tenth shot
 of a set of one wall, the others clean; with ``--walls any`` one of a file of 26 from as many walls, where of
 lost samples only a reflection that is earlier than any wall's can tell. A row tells flagged and not valid
 shots in percent.
@@ -60,6 +61,7 @@ class Scene:
     silent: Wave
     tof_s: float
     noise: float
+    noise_ends_hz: float = RATE_HZ / 2.0
 
     def clean(self) -> FloatArray:
         """Draw a sound record."""
@@ -67,7 +69,16 @@ class Scene:
 
     def noisy(self, volts: FloatArray) -> FloatArray:
         """Add the noise."""
-        return volts + self.noise * self.random.standard_normal(volts.size)
+        return volts + self.some_noise(volts.size)
+
+    def some_noise(self, n: int) -> FloatArray:
+        """Draw n samples of it."""
+        noise = self.noise * self.random.standard_normal(n)
+        if self.noise_ends_hz >= RATE_HZ / 2.0:
+            return noise
+        spectrum = np.fft.rfft(noise)
+        spectrum[np.fft.rfftfreq(n, 1.0 / RATE_HZ) > self.noise_ends_hz] = 0.0
+        return np.fft.irfft(spectrum, n) / math.sqrt(2.0 * self.noise_ends_hz / RATE_HZ)
 
 
 def hole(scene: Scene) -> FloatArray:
@@ -163,7 +174,7 @@ def lost_and_bridged(scene: Scene) -> FloatArray:
 def lost_and_closed_up(scene: Scene) -> FloatArray:
     """Move the rest forward; noise follows at the end."""
     volts = np.delete(scene.clean(), _lost(scene))
-    return np.append(volts, scene.noise * scene.random.standard_normal(SAMPLES - volts.size))
+    return np.append(volts, scene.some_noise(SAMPLES - volts.size))
 
 
 CASES: tuple[Callable[[Scene], FloatArray], ...] = (
@@ -224,7 +235,13 @@ def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:
 
 
 def rates(
-    case: Callable[[Scene], FloatArray], shape: str, snr_db: float, n: int, seed: int, walls: str = "one"
+    case: Callable[[Scene], FloatArray],
+    shape: str,
+    snr_db: float,
+    n: int,
+    seed: int,
+    walls: str = "one",
+    noise_ends_hz: float = RATE_HZ / 2.0,
 ) -> tuple[float, float]:
     """Part of the shots that are flagged, and that are not valid."""
     random = np.random.default_rng([seed, round(snr_db)])
@@ -245,6 +262,7 @@ def rates(
             silent=silent,
             tof_s=tof_s,
             noise=10.0 ** (-snr_db / 20.0),
+            noise_ends_hz=noise_ends_hz,
         )
 
     shots = []
@@ -271,15 +289,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=902)
     parser.add_argument("--shape", choices=["twin", *SHAPES], default="twin")
     parser.add_argument("--walls", choices=[*OTHERS], default="one")
+    parser.add_argument("--noise-ends-hz", type=float, default=RATE_HZ / 2.0, help="default: white")
     arguments = parser.parse_args()
     levels_db = (20.0, 30.0, 40.0)
     print(
-        f"{arguments.shape}, walls {arguments.walls}, flagged / not valid in %   "
-        + "   ".join(f"{db:.0f} dB" for db in levels_db)
+        f"{arguments.shape}, walls {arguments.walls}, noise to {arguments.noise_ends_hz / 1e6:g} MHz, "
+        "flagged / not valid in %   " + "   ".join(f"{db:.0f} dB" for db in levels_db)
     )
     for case in CASES:
         found = [
-            rates(case, arguments.shape, db, arguments.records, arguments.seed, arguments.walls)
+            rates(
+                case,
+                arguments.shape,
+                db,
+                arguments.records,
+                arguments.seed,
+                arguments.walls,
+                arguments.noise_ends_hz,
+            )
             for db in levels_db
         ]
         told = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)

@@ -10,13 +10,17 @@ import math
 
 import numpy as np
 
+from analysis.waves.pulses import NOISE_CRESTS, Pulse
 from analysis.waves.record_reduction import FloatArray, ReducedRecord, median, moving_mean
 
 FLAT_TOP_REACH = 0.3
 """Of the width at half height: where the top is compared with its middle, means over a fifth of the width."""
 FLAT_TOP_FALL = 0.155
 """Least fall from the middle to there: the twin's waves, half sines, cos^4, Gaussian and sech^2 pulses fall
-by .19-.23, a wave that is cut at .85 of its height by .11; noise of a tenth of the height moves it .011."""
+by .19-.23, a wave that is cut at .85 of its height by .11; white noise of a tenth of the height moves it
+.011."""
+LEAST_SOUND_FALL, TOP_NOISE = 0.19, 3.0
+"""Where noise moves it more, that many standard deviations below what a sound wave falls."""
 LONGEST_TOP, FEWEST_AT_TOP = 0.15, 16
 """Of the width, and samples, at exactly the highest value: a wave of 100 codes stays on its last for .12."""
 DEEPEST_PULL = 0.05
@@ -26,12 +30,16 @@ LOOKED_AFTER_PSW_S = 520e-6
 WAKE_S = (50e-6, 150e-6)
 DEEPEST_WAKE = 0.13
 """After the PSW a disk that leans by .05 rad swings back by a tenth of the wave."""
+FOOT_PER_FWHM = 0.4
+END_S, END_MEAN_S, FEWEST_END_MEANS = 200e-6, 20e-6, 3
+END_ASIDE = 0.3
+"""Of the means at the end, nearest to the level, that a drift may leave there: a wave leaves more."""
+PSW_WIDTHS = 2.0
+"""After its middle the reflected wave is over."""
 LEVEL_BLOCKS = 5
 EDGE_S = 3e-6
 EDGE_PER_WIDTH = 2.4
 """Steepest slope of a pulse times its width over its height: a half sine has 2.1, the twin's waves 1.5."""
-NOISE_CRESTS = 4.5
-"""Standard deviations: of a hundred independent values noise passes them in one record of 3,000."""
 NOISE_STEPS = 5.5
 """The same for the thousand differences between neighbours."""
 FEWEST_ALIKE, SHORTEST_ALIKE_S = 32, 15e-6
@@ -43,8 +51,11 @@ CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
 """Between samples looked at first, and by how much those on a line, each rounded, leave it."""
 
 
-def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float) -> bool:
-    """Whether a pulse's top is too flat to be a wave's: an amplifier was at its end."""
+def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v: float) -> bool:
+    """Whether a pulse's top is too flat to be a wave's: an amplifier was at its end.
+
+    `noise_v`, here and below, is the standard deviation of a block mean.
+    """
     if not math.isfinite(fwhm_s):
         return False
     half = max(1, round(0.1 * fwhm_s / record.step_s))
@@ -56,7 +67,8 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float) -> bool:
     n = 2 * half + 1
     middle = float(record.blocks_v[centre - half : centre + half + 1].sum())
     sides = float(record.blocks_v[first : first + n].sum()) + float(record.blocks_v[last - n : last].sum())
-    return 1.0 - 0.5 * sides / middle < FLAT_TOP_FALL
+    fall_sd = math.sqrt(1.5 * n) * noise_v / middle
+    return 1.0 - 0.5 * sides / middle < min(FLAT_TOP_FALL, LEAST_SOUND_FALL - TOP_NOISE * fall_sd)
 
 
 def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
@@ -73,7 +85,9 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     return bool(highest[-1] - highest[0] > LONGEST_TOP * fwhm_s * rate_hz)
 
 
-def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) -> tuple[float, bool]:
+def deepest_pull(
+    record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
+) -> tuple[float, bool]:
     """How far the record falls below its quiet level, a slow drift aside, and whether no push does that.
 
     It is looked at up to `LOOKED_AFTER_PSW_S`, less strictly in the PSW's wake; the drift is a straight line.
@@ -99,8 +113,7 @@ def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) 
     if psw_time_s is not None:
         begins, ends = (max(0, round(record.index(psw_time_s + after_s))) for after_s in WAKE_S)
         fallen[begins:ends] += (DEEPEST_WAKE - DEEPEST_PULL) * isw_v
-    noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
-    limit = -(DEEPEST_PULL * isw_v + NOISE_CRESTS * noise)
+    limit = -(DEEPEST_PULL * isw_v + NOISE_CRESTS * noise_v / math.sqrt(width))
     lowest = int(fallen.argmin())
     if fallen[lowest] > limit:
         return deepest, False
@@ -110,11 +123,11 @@ def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) 
     return (deepest if falls else 0.0), falls
 
 
-def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float) -> bool:
+def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: float) -> bool:
     """Whether the record jumps: samples are lost in a flank, or an electrical pulse begins."""
     width = max(1, round(EDGE_S / record.step_s))
     per_block = EDGE_PER_WIDTH * record.step_s / isw_fwhm_s * isw_v
-    noise = record.noise_rms_v * math.sqrt(2.0 / record.block_samples)
+    noise = math.sqrt(2.0) * noise_v
     means = moving_mean(record.blocks_v, 2 * (width // 2) + 1)[width // 2 : record.blocks_v.size - width // 2]
     steps = np.abs(means[width:] - means[:-width])
     highest = int(steps.argmax())
@@ -127,6 +140,44 @@ def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float) -> bool:
         return False
     rise = abs(median(after) - median(before))
     return rise > per_block * LEVEL_BLOCKS + NOISE_STEPS * noise / math.sqrt(0.64 * LEVEL_BLOCKS)
+
+
+def drifts(
+    record: ReducedRecord, isw: Pulse, psw: Pulse | None, least_fraction: float, noise_v: float
+) -> bool:
+    """Whether the quiet stretch before the ISW or the end of the record leaves the quiet level: hum, wander.
+
+    The stretch's 10-us means range over more, or the end lies farther off, than the stated fraction of the
+    ISW and six standard deviations of noise.
+    """
+    width = max(1, round(10e-6 / record.step_s))
+    # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
+    foot_s = FOOT_PER_FWHM * isw.fwhm_s if math.isfinite(isw.fwhm_s) else 0.0
+    foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
+    quiet = record.blocks_v[: foot - foot % width]
+    steps = quiet.reshape(-1, width).sum(axis=1) / width
+    limit = max(least_fraction * isw.amplitude_v, 6.0 * noise_v / math.sqrt(width))
+    return bool(_end_level(record, psw) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
+
+
+def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
+    """How far the record's end lies off the quiet level, by a line through that and its last short means.
+
+    A third wave that passes there leaves some of them on the level.
+    """
+    first = record.blocks_v.size - round(END_S / record.step_s)
+    if psw is not None:
+        width_s = psw.fwhm_s if math.isfinite(psw.fwhm_s) else 0.0
+        first = max(first, math.ceil(record.index(psw.time_s + PSW_WIDTHS * width_s)))
+    width = max(1, round(END_MEAN_S / record.step_s))
+    n = max(0, record.blocks_v.size - first) // width
+    if n < FEWEST_END_MEANS:
+        return 0.0
+    since = record.blocks_v.size - 0.5 * record.quiet_blocks - width * (np.arange(n, 0, -1) - 0.5)
+    means = record.blocks_v[-n * width :].reshape(n, width).sum(axis=1) / width
+    means = np.sort(means * (since[-1] / since))
+    aside = round(END_ASIDE * n)
+    return max(float(means[aside]), -float(means[-1 - aside]))
 
 
 def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:

@@ -31,8 +31,16 @@ import numpy as np
 from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, straight_stretch
+from analysis.waves.disturbance import (
+    deepest_pull,
+    drifts,
+    has_edge,
+    is_cut,
+    is_flat_topped,
+    straight_stretch,
+)
 from analysis.waves.fft_length import fast_length, together
+from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
@@ -55,7 +63,6 @@ EXTRACTOR_VERSION = "1.6"
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7
 """Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""
-FOOT_PER_FWHM = 0.4
 JUMP_S, FRONT_S = 2e-6, 20e-6
 JUMP_PART = 0.7
 """Of the record's highest: a spike is that itself, less what noise adds elsewhere."""
@@ -283,37 +290,27 @@ def _extracted(
 ) -> list[ShotFeatures]:
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
-    pulls = [_pull(record, found) for record, found in zip(records, pulses, strict=True)]
-    flags = [
-        _flags(record, found, settings, one, pulled=pulled)
-        for record, found, one, (_, pulled) in zip(records, pulses, given, pulls, strict=True)
+    flagged = [
+        _flags(record, found, settings, one)
+        for record, found, one in zip(records, pulses, given, strict=True)
     ]
     # What something else started looks like a wave at times: nothing is measured of it.
     measured: list[dict[str, Any]] = [
-        {} if "false_trigger" in flagged else _measured(record, found, settings)
-        for record, found, flagged in zip(records, pulses, flags, strict=True)
+        {} if "false_trigger" in flags else _measured(record, found, settings)
+        for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
     _autocorrelate(records, pulses, measured, settings)
     return [
         ShotFeatures(
             **values,
-            **_grade(flagged),
+            **_grade(flags),
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
             outline=_outline(record, found),
             sd=standard_deviations(record, found, values, settings) if with_sd else {},
         )
-        for record, found, (pull, _), flagged, values in zip(
-            records, pulses, pulls, flags, measured, strict=True
-        )
+        for record, found, (flags, pull), values in zip(records, pulses, flagged, measured, strict=True)
     ]
-
-
-def _pull(record: ReducedRecord, pulses: Pulses) -> tuple[float, bool]:
-    if pulses.isw is None:
-        return math.nan, False
-    psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-    return deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
 
 
 def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
@@ -322,25 +319,30 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given, *, pulled: bool
-) -> set[str]:
-    flags = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz, pulled=pulled)
-    return flags | {"clipped"} if given.clipped else flags
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given
+) -> tuple[set[str], float]:
+    """Give a shot's flags, and `ShotFeatures.pull_fraction`."""
+    flags, pull = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz)
+    return flags | {"clipped"} if given.clipped else flags, pull
 
 
 def _flags_of_pulses(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float, *, pulled: bool
-) -> set[str]:
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float
+) -> tuple[set[str], float]:
     spiked, stirred = _at_trigger(record)
     if spiked:
-        return {"false_trigger"}
+        return {"false_trigger"}, math.nan
     if pulses.inverted:
-        return {"inverted"}
-    if pulses.isw is None:
-        return {"false_trigger" if stirred else "missed"}
-    found = _disturbances(record, pulses, pulses.isw, settings, rate_hz)
-    if pulled:
-        found.add(DISTURBED)
+        return {"inverted"}, math.nan
+    isw = pulses.isw
+    if isw is None:
+        return {"false_trigger" if stirred else "missed"}, math.nan
+    found, pull = _moved(record, pulses, isw, settings, record.block_noise_v)
+    if found:
+        # What this noise cannot do it may where it is stronger in the wave's own band.
+        noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
+        found, pull = _moved(record, pulses, isw, settings, noise_v)
+    found |= _disturbances(record, pulses, isw, rate_hz)
     if pulses.psw is None:
         # What is no strike alone can be no sign of a hole.
         found.add("missed" if DISTURBED in found else "no_psw")
@@ -348,24 +350,30 @@ def _flags_of_pulses(
         found.add("double")
     if pulses.psw_merged:
         found.add("psw_merged")
-    if pulses.isw.amplitude_v < settings.noisy_below_snr * record.noise_rms_v:
+    if isw.amplitude_v < settings.noisy_below_snr * record.noise_rms_v:
         found.add("noisy")
-    if _baseline_drifts(record, pulses.isw, settings):
-        found.add("baseline")
-    return found
+    return found, pull
 
 
-def _disturbances(
-    record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, rate_hz: float
-) -> set[str]:
-    """Look for what no strike leaves."""
+def _moved(
+    record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
+) -> tuple[set[str], float]:
+    """Look for what stands out of noise that gives a block mean the stated standard deviation."""
+    psw_time_s = None if pulses.psw is None else pulses.psw.time_s
+    pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
+    seen = {
+        DISTURBED: pulled or has_edge(record, isw.amplitude_v, settings.isw_fwhm_s, noise_v),
+        "clipped": is_flat_topped(record, isw.matched_time_s, isw.fwhm_s, noise_v),
+        "baseline": drifts(record, isw, pulses.psw, settings.baseline_drift_fraction, noise_v),
+    }
+    return {flag for flag, is_seen in seen.items() if is_seen}, pull
+
+
+def _disturbances(record: ReducedRecord, pulses: Pulses, isw: Pulse, rate_hz: float) -> set[str]:
+    """Look for what no strike leaves and no noise makes."""
     found = {DISTURBED} if pulses.stray else set()
-    if is_flat_topped(record, isw.matched_time_s, isw.fwhm_s) or is_cut(
-        record, isw.matched_time_s, isw.fwhm_s, rate_hz
-    ):
+    if is_cut(record, isw.matched_time_s, isw.fwhm_s, rate_hz):
         found.add("clipped")
-    if has_edge(record, isw.amplitude_v, settings.isw_fwhm_s):
-        found.add(DISTURBED)
     straight = straight_stretch(record, rate_hz)
     if straight is not None:
         line = record.samples_v[straight[0] + 1 : straight[1]]
@@ -399,25 +407,6 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
 def _farthest(values: FloatArray) -> float:
     """Largest distance from zero."""
     return max(float(values.max()), -float(values.min()))
-
-
-def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
-    """Whether the quiet stretch before the ISW or the end of the record leaves the quiet level.
-
-    Both are taken as 10-us means: a range above the stated fraction of the ISW and above six standard
-    deviations of white noise cannot be noise.
-    """
-    width = max(1, round(10e-6 / record.step_s))
-    end = record.blocks_v[-10 * width :]
-    tail = end.sum() / end.size
-    # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
-    foot_s = FOOT_PER_FWHM * isw.fwhm_s if math.isfinite(isw.fwhm_s) else 0.0
-    foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
-    quiet = record.blocks_v[: foot - foot % width]
-    steps = quiet.reshape(-1, width).sum(axis=1) / width
-    noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
-    limit = max(settings.baseline_drift_fraction * isw.amplitude_v, 6.0 * noise)
-    return bool(abs(tail) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
 
 
 def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> dict[str, float]:

@@ -3,8 +3,7 @@
 Noise that an amplifier or a filter limits in band is like from sample to sample: differences between
 neighbours see little of it, means over a pulse all of it. So its power is read
 
-- for block means from their third differences over the whole record, in which no wave is left (a cos^4 pulse
-  of 65 us leaves 5e-5 of its height at blocks of 1 us);
+- for block means from their third differences over the whole record (`record_reduction.fine_noise`);
 - below, from the quiet blocks before the wave: coefficients of cosines, a constant and the wave's exponential
   foot taken out. A band counts for itself only where its power lies above that of the wider one by more than
   chance (1 %): a band of few coefficients is uncertain by itself.
@@ -20,10 +19,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, ReducedRecord, median
+from analysis.waves.record_reduction import FloatArray, ReducedRecord, fine_noise, median
 
-THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of a - 3 b + 3 c - d for white noise of 1."""
+SLOW_HZ = (20e3, 100e3)
+"""Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
+LEAST_EXCESS, MEDIAN_OF_SQUARES = 2.5, 0.455
+"""By chance the median of a dozen squares of normal values is that much above its usual one in 1 %."""
 BANDS_HZ = (math.inf, 250e3, 100e3, 40e3)
 """Of block means: all, down to what a flank (5 us) and the top and the matched filter of a wave take in."""
 FEWEST_COEFFICIENTS = 4
@@ -75,9 +76,8 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     isw_time_s, isw_fwhm_s
         Of the incident wave, before which the record is quiet.
     """
-    fine2 = (MAD_TO_SD * median(np.abs(np.diff(record.blocks_v, 3))) / THIRD_DIFFERENCE) ** 2
-    before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
-    n = min(record.quiet_blocks, math.floor(before)) if math.isfinite(before) else 0
+    fine2 = fine_noise(record.blocks_v) ** 2
+    n = _quiet_before(record, isw_time_s, isw_fwhm_s)
     white2 = record.noise_rms_v**2
     if n < N_LEVEL + FEWEST_COEFFICIENTS:
         return _coloured(record, white2, [fine2] * 4, np.zeros(record.quiet_blocks), 1.0, 0.5)
@@ -99,6 +99,30 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     if sample2 < _by_chance(x.size / memory) * white2:
         sample2 = white2
     return _coloured(record, sample2, bands, level, memory, _memory(np.diff(x), lags) - 1.0)
+
+
+def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
+    """Give a block mean's standard deviation in white noise as strong as this is where it is strongest.
+
+    Of what stands in a few coefficients only, as a knock, a median sees nothing.
+    """
+    power2 = record.block_noise_v**2
+    n = _quiet_before(record, isw_time_s, isw_fwhm_s)
+    # The k-th cosine has the frequency k / (2 n step).
+    first, last = (2.0 * n * record.step_s * hz for hz in SLOW_HZ)
+    columns = slice(N_LEVEL + math.ceil(first) - 1, min(n, N_LEVEL + math.floor(last)))
+    if columns.stop - columns.start >= FEWEST_COEFFICIENTS:
+        cosines = _quiet_basis(n, round(isw_fwhm_s / record.step_s))[:, columns]
+        slow2 = median((cosines.T @ record.blocks_v[:n]) ** 2) / MEDIAN_OF_SQUARES
+        if slow2 > LEAST_EXCESS * power2:
+            power2 = slow2
+    return math.sqrt(power2)
+
+
+def _quiet_before(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
+    """Count the blocks before the wave."""
+    before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
+    return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
 
 def _coloured(

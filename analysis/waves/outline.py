@@ -57,7 +57,7 @@ class Outline:
     points
         Those of all parts, shape (n_points,); NaN where the record does not reach.
     sd
-        Standard deviation that white noise gives each.
+        Standard deviation that noise gives each.
     """
 
     points: FloatArray
@@ -70,8 +70,8 @@ def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
     _read(record, isw, FROM_ISW, stride, points[:N_ISW])
     _read(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
-    noise = record.noise_rms_v / math.sqrt(record.block_samples * record.smooth_blocks)
-    return Outline(points=points, sd=noise / isw.amplitude_v)
+    noise_v = record.block_noise_v / math.sqrt(record.smooth_blocks)
+    return Outline(points=points, sd=noise_v / isw.amplitude_v)
 
 
 def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.record_reduction import (
     MAD_TO_SD,
     ExtractionSettings,
@@ -25,6 +26,13 @@ LATEST_ISW_PER_FWHM = 2.0
 """After the trigger: a wave that fires it itself peaks within one width."""
 STANDS_OUT = 6.0
 """Standard deviations: the highest of a thousand values of noise stays below 4.5."""
+NOISE_CRESTS = 4.5
+"""Standard deviations: of a hundred independent values noise passes them in one record of 3,000."""
+ALLOWED_NOISE = 0.0095
+"""Of the ISW's amplitude, in means of `TOP_SMOOTHING_S`: white noise at 20 dB, which the fractions of
+`ExtractionSettings` leave room for."""
+NOISE_VALLEY = 5.2
+"""Standard deviations between a crest and a trough: 3.7 of a difference."""
 FLANK_SMOOTHING_S = 5e-6
 """Moving mean in which the half-height crossings are read: too short to widen the pulse."""
 
@@ -143,7 +151,10 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
             1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
-    double, merged, stray = _extra_pulses(record, isw, psw, settings)
+    double, merged, stray = _extra_pulses(record, isw, psw, settings, 0.0)
+    if double or merged or stray:
+        noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
+        double, merged, stray = _extra_pulses(record, isw, psw, settings, noise_v)
     if psw is not None and not double:
         double = _second_reflection(record, maxima, isw, psw, settings)
     return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
@@ -337,21 +348,23 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
 
 
 def _extra_pulses(
-    record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings
+    record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
-    """Whether there is a second strike, a PSW merged with another wave, and a pulse that no strike leaves."""
+    """Whether there is a second strike, a PSW merged with another wave, and a pulse that no strike leaves.
+
+    `noise_v` is the standard deviation of a block mean.
+    """
+    excess_v = max(0.0, noise_v / math.sqrt(record.smooth_blocks) - ALLOWED_NOISE * isw.amplitude_v)
     double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
     merged = psw is not None and not psw.regular
-    stray = False
+    stray, crest_v = False, NOISE_CRESTS * excess_v
+    strong_v = settings.double_above_fraction * isw.amplitude_v + crest_v
     for index in prominent_maxima(
         record.smooth_v,
-        settings.stray_above_fraction * isw.amplitude_v,
-        settings.double_valley_fraction * isw.amplitude_v,
+        settings.stray_above_fraction * isw.amplitude_v + crest_v,
+        settings.double_valley_fraction * isw.amplitude_v + NOISE_VALLEY * excess_v,
     ):
-        time_s, strong = (
-            record.time_s(index),
-            record.smooth_v[index] >= settings.double_above_fraction * isw.amplitude_v,
-        )
+        time_s, strong = record.time_s(index), record.smooth_v[index] >= strong_v
         if abs(time_s - isw.time_s) <= 0.25 * settings.isw_fwhm_s:
             continue
         if psw is None and time_s > isw.time_s + settings.psw_latest_s:

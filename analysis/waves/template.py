@@ -33,6 +33,9 @@ STRONGEST_REFLECTION = 1.4
 of a quarter on top of the reflected wave makes 1.5."""
 DEEPER_PULL = 0.035
 """Beyond the usual one, of the ISW's amplitude: noise, which is in both, lets it scatter by .01."""
+PULL_NOISE = 2.7
+"""Standard deviations of an outline's point by which the deepest of two hundred lies beyond the usual deepest
+one in fewer than one record of a thousand."""
 EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
 EARLIEST_TENTH, SHALLOW_QUARTER, STRONG_QUARTER = 0.1, 0.25, 0.75
@@ -147,7 +150,8 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     found = set(shot.flags)
     # A noisy shot's own noise pulls deeper than the others'.
     usual_pull = math.inf if template.pull_fraction is None or "noisy" in found else template.pull_fraction
-    if shot.pull_fraction > usual_pull + DEEPER_PULL:
+    noise = 0.0 if shot.outline is None else PULL_NOISE * shot.outline.sd
+    if shot.pull_fraction > usual_pull + max(DEEPER_PULL, noise):
         found.add(DISTURBED)
     if template.earliest_tof_s is not None:
         later = shot.tof_mf_s / template.earliest_tof_s

@@ -21,6 +21,15 @@ def cos4(time_s, centre_s, width_s=PULSE_WIDTH_S):
     return np.cos(np.pi * phase) ** 4
 
 
+def band_limited(n, rate_hz, ends_hz, seed):
+    """Noise of rms 1 that ends at a frequency."""
+    length = 2 * n
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(length))
+    frequency_hz = np.fft.rfftfreq(length, 1.0 / rate_hz)
+    spectrum[frequency_hz > ends_hz] = 0.0
+    return np.fft.irfft(spectrum, length)[:n] / np.sqrt(2.0 * ends_hz / rate_hz)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """What a record holds; amplitudes of PSW and SSW are fractions of the ISW."""

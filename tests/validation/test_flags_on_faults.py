@@ -61,7 +61,7 @@ def test_most_double_strikes_are_found_and_no_single_one_called_double(shoot):
     assert_rate(struck_twice, 0.5)
     found = np.array(flagged(shots, "double"))
     assert not np.any(found & ~np.array(struck_twice))
-    assert_rate(~found[struck_twice], 35 / 999)
+    assert_rate(~found[struck_twice], 40 / 999)
     overlooked_s = [
         truth["fault_double_delay_s"]
         for (truth, _), twice, seen in zip(shots, struck_twice, found, strict=True)
@@ -84,8 +84,8 @@ def test_every_shot_at_a_through_hole_lacks_its_reflected_wave(shoot):
 @pytest.mark.parametrize(
     ("name", "rate"),
     [
-        ("hum 0.2 V, 50 Hz", 511 / 2_000),
-        pytest.param("hum 0.2 V, 60 Hz", 787 / 2_000, marks=pytest.mark.slow),
+        ("hum 0.2 V, 50 Hz", 430 / 2_000),
+        pytest.param("hum 0.2 V, 60 Hz", 703 / 2_000, marks=pytest.mark.slow),
     ],
 )
 def test_hum_is_found_in_part_and_leaves_the_(shoot, name, rate):
@@ -104,7 +104,7 @@ def test_small_spikes_pass_mostly_unseen_and_do_no_harm(shoot):
     # A record holds 2.7 on average: 1 us wide, they drown in the means over 10 us.
     assert np.mean([truth["fault_spikes"] for truth, _ in shots]) > 2.0
     assert_rate(flagged(shots, "disturbed"), 14 / 2_000)
-    assert_rate(flagged(shots, "baseline"), 76 / 2_000)
+    assert_rate(flagged(shots, "baseline"), 3 / 2_000)
 
 
 def test_records_that_a_spike_triggered_are_not_valid(shoot):
@@ -122,9 +122,9 @@ def test_records_that_a_spike_triggered_are_not_valid(shoot):
 @pytest.mark.parametrize(
     ("name", "baseline_rate", "disturbed_rate"),
     [
-        ("tilt 0.05 rad", 208 / 2_000, 43 / 2_000),
-        ("PZT ageing, half", 253 / 2_000, 24 / 2_000),
-        ("loose contact, 50 %", 63 / 2_000, 2 / 2_000),
+        ("tilt 0.05 rad", 196 / 2_000, 41 / 2_000),
+        ("PZT ageing, half", 239 / 2_000, 20 / 2_000),
+        ("loose contact, 50 %", 61 / 2_000, 2 / 2_000),
         ("temperature + 20 K", 0.0, 0.0),
         ("bead wear, radius x 2", 0.0, 0.0),
     ],

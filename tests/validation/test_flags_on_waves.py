@@ -61,6 +61,21 @@ def test_its_own_are_not(benchmark, shape, snr_db):
     assert flagged <= (0.07 if snr_db == 20.0 else 0.02)
 
 
+@pytest.mark.parametrize(("noise_ends_hz", "snr_db"), [(1e6, 20.0), (500e3, 30.0), (200e3, 30.0)])
+def test_its_own_are_not_where_noise_is_stronger_in_their_band(benchmark, noise_ends_hz, snr_db):
+    clean = benchmark.Scene.clean
+    flagged, _ = benchmark.rates(clean, "cos4", snr_db, N_RECORDS, SEED, noise_ends_hz=noise_ends_hz)
+    # Up to 2 % of 300 are: more than three of 30 are once in 300 seeds.
+    assert flagged <= 0.1
+
+
+@pytest.mark.parametrize("name", ["second_strike", "knock", "foreign_before"])
+def test_each_is_flagged_where_noise_is_stronger_in_its_band(benchmark, name):
+    """Limits that noise widens are no blind eye."""
+    flagged, bad = benchmark.rates(getattr(benchmark, name), "cos4", 30.0, N_RECORDS, SEED, noise_ends_hz=5e5)
+    assert flagged >= bad >= 0.9
+
+
 def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
     """Only one that has the own wave's width, height and smoothness can be."""
     random = benchmark.np.random.default_rng(SEED)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from support.synthetic_records import Scene
+from support.synthetic_records import FWHM_S, Scene, band_limited
 
 from analysis.waves.features import extract_from_volts
-from analysis.waves.noise_colour import noise_colour
+from analysis.waves.noise_colour import noise_colour, strongest_block_noise_v
 from analysis.waves.record_reduction import ExtractionSettings, Given, reduce_records
 
 SCENE = Scene(noise_fraction=0.0)
@@ -19,15 +19,6 @@ TOLD = (
     "isw_fwhm_s",
     "psw_area_v_s",
 )
-
-
-def band_limited(n, rate_hz, ends_hz, seed):
-    """Noise of rms 1 that ends at a frequency."""
-    length = 2 * n
-    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(length))
-    frequency_hz = np.fft.rfftfreq(length, 1.0 / rate_hz)
-    spectrum[frequency_hz > ends_hz] = 0.0
-    return np.fft.irfft(spectrum, length)[:n] / np.sqrt(2.0 * ends_hz / rate_hz)
 
 
 def shots(rate_hz, ends_hz, n):
@@ -99,3 +90,36 @@ def test_a_record_without_noise_has_nearly_none():
     """What a cos^4 pulse has of its first microseconds before the quiet stretch ends: below 70 dB."""
     found, _ = colour(SCENE.volts(), SCENE, SCENE.isw_time_s)
     assert 0.0 < found.slow2 < (3e-4 * SCENE.isw_v) ** 2 / 10
+
+
+def strongest(volts):
+    record = reduced(volts, SCENE, ExtractionSettings())
+    return record.block_noise_v, strongest_block_noise_v(record, SCENE.isw_time_s, FWHM_S)
+
+
+@pytest.mark.parametrize(
+    ("ends_hz", "within"),
+    # Third differences of 1,300 means of 1 us, most of whose power lies at 300 to 500 kHz, and a median of
+    # twelve coefficients: 30 % of a variance of 100 records' middle.
+    [(5e6, 0.1), (1e6, 0.15), (500e3, 0.25), (100e3, 0.25)],
+)
+def test_the_strongest_noise_is_as_strong_as_white_noise_in_the_waves_band(ends_hz, within):
+    clean = SCENE.volts()
+    found = [
+        strongest(clean + NOISE * SCENE.isw_v * band_limited(clean.size, SCENE.rate_hz, ends_hz, k))
+        for k in range(100)
+    ]
+    expected = NOISE * SCENE.isw_v / np.sqrt(2.0 * ends_hz * 1e-6)
+    assert np.median([slow for _, slow in found]) == pytest.approx(expected, rel=within)
+    if ends_hz >= 500e3:
+        assert np.median([fine for fine, _ in found]) == pytest.approx(expected, rel=within)
+
+
+def test_a_knock_is_no_noise():
+    """One of .2 of the wave that rings before it, at 8 kHz: means over 10 us would scatter by .1."""
+    since_s = SCENE.time_s() + 60e-6
+    ringing = np.where(since_s > 0.0, np.sin(2.0 * np.pi * 8e3 * since_s), 0.0)
+    volts = SCENE.with_(noise_fraction=NOISE).volts(1) + 0.2 * SCENE.isw_v * ringing
+    _, slow = strongest(volts)
+    # Five times what white noise of 1 % gives a block mean; a tenth of what the knock would.
+    assert slow < 5.0 * NOISE * SCENE.isw_v / np.sqrt(10.0)

@@ -3,9 +3,11 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from analysis.waves.features import ShotFeatures
+from analysis.waves.outline import Outline
 from analysis.waves.template import Template, compared, learnt
 
 OWN = Template(
@@ -95,3 +97,9 @@ def test_weak_strikes_are_told_where_every_second_one_is_weak():
     shots = [SHOT, replace(SHOT, isw_amplitude_v=0.4)] * 5
     own = learnt(shots)
     assert [compared(shot, own).flags for shot in shots] == [(), ("missed",)] * 5
+
+
+def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
+    pulled = replace(SHOT, pull_fraction=0.08)
+    for sd, flags in ((0.01, ("disturbed",)), (0.03, ())):
+        assert compared(replace(pulled, outline=Outline(points=np.zeros(57), sd=sd)), OWN).flags == flags
