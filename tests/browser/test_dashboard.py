@@ -1,5 +1,6 @@
 """The dashboard in a headless browser: what it draws is what the API says, without a reload."""
 
+import itertools
 import re
 import shutil
 from urllib.parse import urlsplit
@@ -458,3 +459,47 @@ def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, op
         until(lambda: dashboard(page, "lastEventId") == newest, "it has heard all events")
         expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
     again.close()
+
+
+WRITTEN = """() => {
+  const fill = CanvasRenderingContext2D.prototype.fillText;
+  window.written = [];
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y, ...rest) {
+    const width = this.measureText(text).width;
+    const left = x - { left: 0, start: 0, center: width / 2, right: width, end: width }[this.textAlign];
+    window.written.push({ text, left, right: left + width, y, chart: this.canvas.closest("[id]")?.id });
+    return fill.call(this, text, x, y, ...rest);
+  };
+}"""
+
+
+def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service, open_page):
+    for hour, text in ((10.0, "couplant renewed"), (10.5, "door open"), (11.0, "bath refilled")):
+        filled.annotate(hour, text)
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    page.evaluate(WRITTEN)
+    page.set_viewport_size({"width": 1300, "height": 900})  # all is drawn anew
+    names = ("baseline", "couplant renewed", "door open", "bath refilled")
+    seen = until(
+        lambda: (
+            (
+                found := {
+                    one["text"]: one
+                    for one in page.evaluate("window.written")
+                    if one["chart"] == "tof" and one["text"] in names
+                }
+            ).keys()
+            == set(names)
+            and found
+        ),
+        "all words are drawn",
+    )
+    canvas, over = (page.locator(f"#tof {part}").bounding_box() for part in ("canvas", ".u-over"))
+    low, high = dashboard(page, "charts.tof.span")
+    for name, hour in zip(names, (0.0, 10.0, 10.5, 11.0), strict=True):
+        line = over["x"] - canvas["x"] + over["width"] * (hour - low) / (high - low)
+        # Four pixels aside; lines stand on whole ones.
+        assert seen[name]["left"] == pytest.approx(line + 4.0, abs=1.0)
+    for a, b in itertools.combinations((seen[name] for name in names[1:]), 2):
+        assert a["right"] < b["left"] or abs(a["y"] - b["y"]) > 10.0

@@ -4,6 +4,8 @@ import { color } from "../dom.js";
 
 const FONT = 'system-ui, "Liberation Sans", Arial, sans-serif';
 const TAU = 2 * Math.PI;
+/** Of notes that come so close after each other that their words would overlap; further ones stand in the table only. */
+const NOTE_ROWS = 3;
 
 /** @typedef {{from_h: number, to_h: number, word: string, tone: string}} Range */
 /** @typedef {(path: Path2D, x: number, y: number, r: number) => void} Shape */
@@ -41,6 +43,7 @@ export function clipped(u, draw) {
   ctx.beginPath();
   ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
   ctx.clip();
+  ctx.textAlign = "left"; // the axes leave their own
   draw(ctx);
   ctx.restore();
 }
@@ -97,6 +100,8 @@ export function drawRanges(u, ranges) {
   clipped(u, (ctx) => {
     ctx.font = `${11 * ratio}px ${FONT}`;
     ctx.textBaseline = "top";
+    /** Where the last word of each row of notes ends. @type {number[]} */
+    const rows = [];
     for (const range of ranges) {
       const left = u.valToPos(range.from_h, "x", true);
       const right = Math.max(u.valToPos(range.to_h, "x", true), left + 2 * ratio);
@@ -114,11 +119,17 @@ export function drawRanges(u, ranges) {
         ctx.strokeRect(left, bbox.top - ratio, right - left, bbox.height + 2 * ratio);
         ctx.setLineDash([]);
       }
+      const note = range.tone === "note";
       const start = Math.max(left, bbox.left) + 4 * ratio;
-      const ends = range.tone === "note" ? bbox.left + bbox.width : Math.min(right, bbox.left + bbox.width);
-      if (ends - start < ctx.measureText(range.word).width) continue;
+      const ends = note ? bbox.left + bbox.width : Math.min(right, bbox.left + bbox.width);
+      const { width } = ctx.measureText(range.word);
+      if (ends - start < width) continue;
+      let row = 0;
+      while (note && start < (rows[row] ?? 0)) row += 1;
+      if (row === NOTE_ROWS) continue;
+      if (note) rows[row] = start + width + 4 * ratio;
       ctx.fillStyle = color(`--${range.tone}`);
-      ctx.fillText(range.word, start, range.tone === "note" ? bbox.top + bbox.height - 15 * ratio : bbox.top + 4 * ratio);
+      ctx.fillText(range.word, start, note ? bbox.top + bbox.height - (15 + 13 * row) * ratio : bbox.top + 4 * ratio);
     }
   });
 }
