@@ -173,11 +173,12 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     n = max(0, record.blocks_v.size - first) // width
     if n < FEWEST_END_MEANS:
         return 0.0
-    since = record.blocks_v.size - 0.5 * record.quiet_blocks - width * (np.arange(n, 0, -1) - 0.5)
-    means = record.blocks_v[-n * width :].reshape(n, width).sum(axis=1) / width
-    means = np.sort(means * (since[-1] / since))
+    sums = np.einsum("ij->i", record.blocks_v[-n * width :].reshape(n, width)).tolist()
+    since = record.blocks_v.size - 0.5 * record.quiet_blocks
+    at_end = since - 0.5 * width
+    levels = sorted(v / width * at_end / (since - width * (n - k - 0.5)) for k, v in enumerate(sums))
     aside = round(END_ASIDE * n)
-    return max(float(means[aside]), -float(means[-1 - aside]))
+    return max(levels[aside], -levels[-1 - aside])
 
 
 def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:
