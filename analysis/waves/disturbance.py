@@ -176,7 +176,9 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     sums = np.einsum("ij->i", record.blocks_v[-n * width :].reshape(n, width)).tolist()
     since = record.blocks_v.size - 0.5 * record.quiet_blocks
     at_end = since - 0.5 * width
-    levels = sorted(v / width * at_end / (since - width * (n - k - 0.5)) for k, v in enumerate(sums))
+    levels: list[float] = sorted(
+        v / width * at_end / (since - width * (n - k - 0.5)) for k, v in enumerate(sums)
+    )
     aside = round(END_ASIDE * n)
     return max(levels[aside], -levels[-1 - aside])
 

@@ -3,6 +3,7 @@
 import itertools
 import re
 import shutil
+from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -503,3 +504,18 @@ def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service
         assert seen[name]["left"] == pytest.approx(line + 4.0, abs=1.0)
     for a, b in itertools.combinations((seen[name] for name in names[1:]), 2):
         assert a["right"] < b["left"] or abs(a["y"] - b["y"]) > 10.0
+
+
+def test_a_wall_that_is_named_stands_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
+    verdict = filled.verdict("C", N_SETS - 1, 30.0)
+    named = {"chart": 4.0 * LIMIT_CHART, "chart_alarm": True, "cause": "wall", "cause_probability": 0.972}
+    filled.add_alarm("C", N_SETS - 1)
+    filled.catalogue.commit_set(SetCommit(verdicts=[replace(verdict, set_index=N_SETS, **named)]))
+    page = open_page(service.url)
+    tile, sound = (page.locator(f'#tiles [data-position="{position}"]') for position in "CD")
+    expect(tile).to_have_attribute("data-state", "alarm")
+    for text in ("wall (97 %)", f"{4.0 * LIMIT_CHART:.3g}, limit {LIMIT_CHART:.3g}"):
+        expect(tile).to_contain_text(text)
+    expect(sound).to_have_attribute("data-state", "normal")
+    expect(sound).not_to_contain_text("wall (")
+    expect(sound).to_contain_text(f"limit {LIMIT_CHART:.3g}")
