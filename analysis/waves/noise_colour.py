@@ -24,7 +24,7 @@ from analysis.waves.record_reduction import FloatArray, ReducedRecord, fine_nois
 SLOW_HZ = (20e3, 100e3)
 """Band that means over some 10 us take in; a knock or hum, slower, is no noise."""
 LEAST_EXCESS, MEDIAN_OF_SQUARES = 2.5, 0.455
-"""By chance the median of a dozen squares of normal values is that much above its usual one in 1 %."""
+"""By chance the median of a dozen squares of normal values is that much above its usual one in 5 %."""
 BANDS_HZ = (math.inf, 250e3, 100e3, 40e3)
 """Of block means: all, down to what a flank (5 us) and the top and the matched filter of a wave take in."""
 FEWEST_COEFFICIENTS = 4

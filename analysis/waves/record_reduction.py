@@ -28,7 +28,7 @@ MAD_TO_SD = 1.4826
 THIRD_DIFFERENCE = math.sqrt(20.0)
 """Standard deviation of a - 3 b + 3 c - d for white noise of 1."""
 LEAST_EXCESS = 1.1
-"""By chance the third differences of 1,300 blocks show that much more than white noise in 1 %."""
+"""By chance the third differences of 1,300 blocks show that much more than white noise in 2 %."""
 TOP_SMOOTHING_S = 11e-6
 """Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
 FEWEST_BLOCKS = 16
