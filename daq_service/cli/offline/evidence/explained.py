@@ -12,7 +12,7 @@ from typing import Any
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR_VERSION
 from analysis.waves.features import EXTRACTOR_VERSION
 from analysis.waves.quality_gate import ACCEPTED
-from daq_service.archive import FolderSetReader, SetRecord, SetReference
+from daq_service.archive import CorruptArchiveError, FolderSetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
@@ -231,7 +231,13 @@ def _refuse_other_extractor(stored: Catalogue, settings: Settings, position: str
 
 def _records_at(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
     """Read a set and keep what one position gave; a set that has nothing of it is kept whole."""
-    record = archive.read_set(reference)
+    try:
+        record = archive.read_set(reference)
+    except CorruptArchiveError:
+        # What other positions lost is no evidence here.
+        if any(damage.position in (None, position) for damage in archive.verify_set(reference)):
+            raise
+        record = archive.read_set(reference, skip_damaged=True)
     shots = [shot for shot in record.shots if shot.key.position == position]
     echoes = [echo for echo in record.echoes if echo.key.position == position]
     if not (shots or echoes):

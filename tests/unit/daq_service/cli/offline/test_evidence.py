@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import pytest
 from support.command_line import solimon_here
 from support.drifting_wall import RAISED, drifting_wall
@@ -278,6 +279,21 @@ def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_to
     assert damaged.returncode == 4
     assert path.name in damaged.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("position", "code"), [("C", 0), ("B", 4)])
+def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line, tmp_path):
+    folder = tmp_path / "damaged"
+    shutil.copytree(line.folder, folder)
+    path = next(folder.glob("sets/*000004*"))
+    with h5py.File(path, "r+") as file:
+        file[f"entry/{position}_waveforms/waveform"][0, 100] += 1
+    done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
+    assert done.returncode == code, done.stderr
+    if code:
+        assert f"shot 0 of {position} (sequence" in done.stderr
+    else:
+        assert json.loads(done.stdout)["agrees"] is True
 
 
 def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
