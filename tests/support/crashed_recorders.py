@@ -44,7 +44,7 @@ from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
-from hardware_drivers.measurement import Shot, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import PLANNED_SETS, Shot, ShotKey, Waveform, in_order
 from support.memory_line import TABLES, ScriptedInstruments, healthy, memory_settings
 from support.small_experiment import AtOnce
 from support.traced_files import State, mark, set_tracing, state_of, write_state
@@ -281,12 +281,17 @@ def _not_behind(struck: set[tuple[str, int, int, int]], found: Outcome) -> list[
 
 
 def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
-    """Rows without numbers and times of shots and what depends on them, in an order that does not, either."""
+    """Rows without numbers and times of shots and what depends on them, in an order that does not, either.
+
+    A set beside the plan is due once the planned one that asks for it has its last shot.
+    """
 
     def bare(told: Any) -> Any:
         if not isinstance(told, dict):
             return told
         depends = ("sequence", "file_sha256", "id")
+        if (told.get("set_index") or 0) >= PLANNED_SETS:
+            depends += ("due_h", "file")
         return {
             name: bare(value)
             for name, value in told.items()
