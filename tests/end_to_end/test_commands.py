@@ -7,10 +7,12 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +120,17 @@ def two_hours(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str,
     return folder, json.loads(done.stdout)
 
 
+def answers(url: str) -> bool:
+    """Whether there is something to answer with: 503 until the first set is in."""
+    try:
+        with urllib.request.urlopen(url, timeout=LIMIT_S):
+            return True
+    except urllib.error.HTTPError as error:
+        if error.code != 503:
+            raise
+        return False
+
+
 @dataclass(frozen=True, slots=True)
 class Demo:
     """A demo with its dashboard, whose first set is in."""
@@ -137,7 +150,10 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Dem
             if not last or last[-1].process.poll() is not None:
                 folder = tmp_path_factory.mktemp("watched")
                 process = stack.enter_context(started("demo", "--pace", "1", "--data-dir", str(folder)))
-                last.append(Demo(process, folder, line_with(process, r"http://127\.0\.0\.1:\d+")))
+                url = line_with(process, r"http://127\.0\.0\.1:\d+")
+                # A slow machine is invited before that: patience has an end.
+                until(partial(answers, f"{url}/readyz"), "its first set")
+                last.append(Demo(process, folder, url))
             return last[-1]
 
         running()
