@@ -21,7 +21,7 @@ from analysis.waves.outline import (
     STEP_S,
     Outline,
 )
-from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, column_medians, median
 
 N_PSW = N_ISW + int(LENGTHS[1])
 CAP = 0.95
@@ -40,7 +40,10 @@ ALIGNED = 2 - FROM_PSW
 CUT_SD2, CUT_SCATTER2, LEAST_CUT, UNEXPLAINED = 25.0, 80.0, 1e-3, 0.3
 """What a cut must explain of the sum of squares: times the variance of noise and of what scatters on top, of
 the ISW's amplitude squared; and what it may leave of that."""
-ROWS_AT_ONCE = 512
+GRAIN = 1e-13
+"""Of the sum of squares: what keeps a column without a slope from being singular."""
+ROWS_AT_ONCE = 64
+"""So that a long file needs little memory."""
 
 
 def is_one_wall(tofs_s: FloatArray) -> bool:
@@ -78,7 +81,15 @@ def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
 def _middle(points: FloatArray) -> FloatArray:
     """Median of the shots that hold all points; NaN without one."""
     held = points[np.isfinite(points).all(axis=1)]
-    return np.median(held, axis=0) if len(held) else np.full(points.shape[1], np.nan)
+    return column_medians(held) if len(held) else np.full(points.shape[1], np.nan)
+
+
+def _slope(wave: FloatArray) -> FloatArray:
+    """Change from point to point, shape (n,) with n >= 2: `numpy.gradient` without what it checks."""
+    slope = np.empty(wave.size)
+    slope[1:-1] = (wave[2:] - wave[:-2]) / 2.0
+    slope[0], slope[-1] = wave[1] - wave[0], wave[-1] - wave[-2]
+    return slope
 
 
 def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
@@ -86,10 +97,17 @@ def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
-        slope, part = np.gradient(wave), slice(begin, begin + wave.size)
+        slope, part = _slope(wave), slice(begin, begin + wave.size)
         columns[part, k] = slope
         columns[part, -1] = np.arange(first, first + wave.size) * slope
     return columns
+
+
+def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
+    gram = columns.T @ columns
+    gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
+    return np.asarray(np.linalg.solve(gram, columns.T @ values))
 
 
 def _lowered(
@@ -97,13 +115,13 @@ def _lowered(
 ) -> NDArray[np.bool_]:
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
-    basis, _ = np.linalg.qr(np.column_stack([middle, own]))
-    pattern = pattern - basis @ (basis.T @ pattern)
+    own = np.column_stack([middle, own])
+    pattern = pattern - own @ _fitted(own, pattern)
     lowered = -(points @ pattern) / np.linalg.norm(pattern)
     known = np.isfinite(lowered)
-    usual = float(np.median(lowered[known]))
-    scatter2 = (MAD_TO_SD * float(np.median(np.abs(lowered[known] - usual)))) ** 2
-    own_scatter2 = max(0.0, scatter2 - MAD_OF_FEW * float(np.median(sd)) ** 2)
+    usual = median(lowered[known])
+    scatter2 = (MAD_TO_SD * median(np.abs(lowered[known] - usual))) ** 2
+    own_scatter2 = max(0.0, scatter2 - MAD_OF_FEW * median(sd) ** 2)
     limit = np.sqrt((FLAT_SD * sd) ** 2 + FLAT_SCATTER**2 * own_scatter2)
     return np.asarray(known & (lowered - usual > np.maximum(limit, least)))
 
@@ -123,11 +141,11 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
     middle = _middle(points)
     if not np.isfinite(middle).all():
         return found
-    own = np.column_stack([middle, np.gradient(middle)])
+    own = np.column_stack([middle, _slope(middle)])
     left = points - middle
-    left -= left[:, :ALIGNED] @ np.linalg.pinv(own[:ALIGNED]).T @ own.T
+    left -= (own @ _fitted(own[:ALIGNED], left[:, :ALIGNED].T)).T
     left[np.isnan(left)] = 0.0
-    scatter2 = max(0.0, float(np.median((left**2).mean(axis=1) - sd**2)))
+    scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
         found[rows] = _cut(left[rows], middle, sd[rows] ** 2, scatter2)
@@ -135,19 +153,19 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
 
 
 def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
-    least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))
+    """Look for a cut of each length behind each point; arrays below are (shots, lengths, points)."""
+    least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)
-    found = np.zeros(len(left), dtype=bool)
-    for shift in SHIFTS:
-        held = place + shift <= place[-1]
-        earlier = np.where(held, np.interp(place + shift, place, middle) - middle, 0.0)
-        gain = (2.0 * left - earlier) * earlier
-        # Of what lies behind each point; the point itself is a mean of before and after.
-        behind = gain[:, ::-1].cumsum(axis=1)[:, ::-1][:, ALIGNED:]
-        at = left[:, ALIGNED - 1 : -1] ** 2
-        best = behind.argmax(axis=1)[:, None]
-        gained = np.take_along_axis(behind, best, 1)[:, 0]
-        explained = gained + np.take_along_axis(at, best, 1)[:, 0]
-        rest = (left[:, held] ** 2 - noise2[:, None]).sum(axis=1) - explained
-        found |= (gained > least) & (rest < UNEXPLAINED * gained)
-    return found
+    later = place + SHIFTS[:, None]
+    held = later <= place[-1]
+    earlier = np.where(held, np.interp(later, place, middle) - middle, 0.0)
+    left2 = left**2
+    gain = left[:, None] * (2.0 * earlier) - earlier**2
+    # Of what lies behind each point; the point itself is a mean of before and after.
+    behind = gain[..., ::-1].cumsum(axis=-1)[..., ::-1][..., ALIGNED:]
+    best = behind.argmax(axis=-1)
+    gained = np.take_along_axis(behind, best[..., None], -1)[..., 0]
+    explained = gained + np.take_along_axis(left2, best + (ALIGNED - 1), 1)
+    rest = np.einsum("ij,kj->ik", left2, held.astype(np.float64))
+    rest -= noise2[:, None] * held.sum(axis=1) + explained
+    return np.asarray(((gained > least) & (rest < UNEXPLAINED * gained)).any(axis=1))

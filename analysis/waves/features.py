@@ -28,7 +28,6 @@ from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
-from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import (
@@ -39,7 +38,6 @@ from analysis.waves.disturbance import (
     is_flat_topped,
     straight_stretch,
 )
-from analysis.waves.fft_length import fast_length, together
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
@@ -50,6 +48,7 @@ from analysis.waves.record_reduction import (
     FloatArray,
     Given,
     ReducedRecord,
+    column_medians,
     mean_weights,
     reduce_records,
 )
@@ -299,7 +298,6 @@ def _extracted(
         {} if "false_trigger" in flags else _measured(record, found, settings)
         for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
-    _autocorrelate(records, pulses, measured, settings)
     return [
         ShotFeatures(
             **values,
@@ -433,6 +431,7 @@ def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSetting
         psw_time_s=psw.time_s,
         psw_amplitude_v=psw.amplitude_v,
     )
+    values.update(_autocorrelated(record, isw, psw, settings))
     return values
 
 
@@ -450,74 +449,40 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
     return total * record.step_s
 
 
-def _autocorrelate(
-    records: Sequence[ReducedRecord],
-    pulses: Sequence[Pulses],
-    measured: Sequence[dict[str, float]],
-    settings: ExtractionSettings,
-) -> None:
-    """Add time of flight and coefficient by autocorrelation to what has both waves."""
-    gates: dict[int, _Gate] = {}
-    for k, (record, found, values) in enumerate(zip(records, pulses, measured, strict=True)):
-        if "tof_pp_s" in values and found.isw is not None and found.psw is not None:
-            gate = _gated(record, found.isw, found.psw, settings)
-            if gate is not None:
-                gates[k] = gate
-    lengths = [fast_length(gate.smooth_v.size + gate.high + 2) for gate in gates.values()]
-    correlations = together([gate.smooth_v for gate in gates.values()], lengths, _correlation)
-    for (k, gate), correlation in zip(gates.items(), correlations, strict=True):
-        measured[k].update(_highest(gate, correlation, records[k]))
-
-
-def _correlation(rows: FloatArray, n_fft: int) -> FloatArray:
-    """Autocorrelation of each row, shape (..., n_fft)."""
-    spectrum = rfft(rows, n_fft)
-    return np.asarray(irfft(spectrum.real**2 + spectrum.imag**2, n_fft))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Gate:
-    """Smoothed record around ISW and PSW, its R(0) at the full rate, and the lags to look at."""
-
-    smooth_v: FloatArray
-    power: float
-    low: int
-    high: int
-
-
-def _gated(record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings) -> _Gate | None:
-    """Gate and smooth a record for its autocorrelation (module docstring); None: nothing stands out.
+def _autocorrelated(
+    record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
+) -> dict[str, float]:
+    """Time of flight and coefficient by autocorrelation (module docstring); nothing where no PSW stands out.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
-    sample: the mean leaves nothing for the missing samples to add.
+    sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
+    than a transform that gives all.
     """
     n = record.blocks_v.size
     first = max(0, round(record.index(isw.time_s - settings.window_half_width_s)))
     last = min(n, round(record.index(psw.time_s + settings.window_half_width_s)) + 1)
-    gate = record.blocks_v[first:last]
     samples = record.samples_v[first * record.block_samples : last * record.block_samples] - record.offset_v
     power = float(np.einsum("i,i->", samples, samples)) - samples.size * record.noise_rms_v**2
     tof = (psw.time_s - isw.time_s) / record.step_s
     search = settings.autocorrelation_search_half_width_s / record.step_s
     low = max(1, math.ceil(tof - search))
-    high = min(gate.size - 2, math.floor(tof + search))
+    high = min(last - first - 2, math.floor(tof + search))
     if power <= 0.0 or high <= low:
-        return None
+        return {}
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    return _Gate(np.correlate(gate, mean_weights(width), "full"), power, low, high)
-
-
-def _highest(gate: _Gate, correlation: FloatArray, record: ReducedRecord) -> dict[str, float]:
-    """Read lag and coefficient off the highest value; nothing where it lies at the edge of the lags."""
-    peak = gate.low + int(correlation[gate.low : gate.high + 1].argmax())
+    smooth = np.correlate(record.blocks_v[first:last], mean_weights(width), "full")
+    # From one lag before the first wanted to one behind the last.
+    later = np.concatenate([smooth[low - 1 :], np.zeros(high - low + 2)])
+    correlation = np.correlate(later, smooth[: smooth.size - low + 1], "valid")
+    peak = 1 + int(correlation[1:-1].argmax())
     before, centre, after = correlation[peak - 1 : peak + 2].tolist()
     if not before <= centre >= after:
         return {}  # no maximum, so not the PSW's
     shift = parabola_peak(before, centre, after)
     height = centre - 0.25 * (before - after) * shift
     return {
-        "tof_ac_s": (peak + shift) * record.step_s,
-        "autocorrelation_coefficient": height * record.block_samples / gate.power,
+        "tof_ac_s": (low - 1 + peak + shift) * record.step_s,
+        "autocorrelation_coefficient": height * record.block_samples / power,
     }
 
 
@@ -575,16 +540,10 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
 def _without_far(table: FloatArray) -> FloatArray:
     """Put NaN in the place of values far from their column's others."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
-    distance = np.abs(known - _medians(known))
-    middle = _medians(distance)
+    distance = np.abs(known - column_medians(known))
+    middle = column_medians(distance)
     # More than half alike have no scatter to compare with.
     return np.where((distance > FAR_APART * MAD_TO_SD * middle) & (middle > 0.0), np.nan, table)
-
-
-def _medians(table: FloatArray) -> FloatArray:
-    """Median of each column: NumPy's digits without its search for NaN."""
-    ordered, upper = np.sort(table, axis=0), len(table) // 2
-    return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

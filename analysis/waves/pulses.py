@@ -407,7 +407,7 @@ def _second_reflection(
 def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
     """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
     kept: list[int] = []
-    for index in _maxima(np.where(values >= floor, values, floor)):
+    for index in _maxima(np.maximum(values, floor)):
         if kept:
             lowest = float(values[kept[-1] : index].min())
             if min(values[kept[-1]], values[index]) - lowest < valley:

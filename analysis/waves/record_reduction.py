@@ -205,6 +205,12 @@ def median(values: FloatArray) -> float:
     return float(ordered[upper - 1] + ordered[upper]) / 2.0
 
 
+def column_medians(table: FloatArray) -> FloatArray:
+    """Median of each column, shape (n, m) with n >= 1: NumPy's digits without its search for NaN."""
+    ordered, upper = np.sort(table, axis=0), len(table) // 2
+    return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
+
+
 def kernel(width_blocks: float) -> FloatArray:
     """Weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
     half = math.ceil(width_blocks / 2) - 1
@@ -266,21 +272,20 @@ def noise_rms(samples_v: FloatArray) -> float:
     """
     difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
-    mean = float(difference.sum()) / difference.size
-    if mean == 0.0:
+    bin_v = float(difference.sum()) / difference.size / 64.0
+    if bin_v == 0.0:
         return 0.0
-    bins = difference * (64.0 / mean)
     middle = 0.5 * difference.size
     k = USUAL_MEDIAN_BIN
-    below, within = (int(np.count_nonzero(bins < edge)) for edge in (k, k + 1))
+    below, within = (int(np.count_nonzero(difference < edge * bin_v)) for edge in (k, k + 1))
     while within < middle and k < 128:  # it is at most twice the mean
-        k, below, within = k + 1, within, int(np.count_nonzero(bins < k + 2))
+        k, below, within = k + 1, within, int(np.count_nonzero(difference < (k + 2) * bin_v))
     while below >= middle:
-        k, below, within = k - 1, int(np.count_nonzero(bins < k - 1)), below
+        k, below, within = k - 1, int(np.count_nonzero(difference < (k - 1) * bin_v)), below
     if k < COARSEST_MEDIAN_BIN:
         return MAD_TO_SD * median(difference) / math.sqrt(2.0)
     inside = (middle - below) / (within - below)
-    return MAD_TO_SD * (k + inside) * mean / 64.0 / math.sqrt(2.0)
+    return MAD_TO_SD * (k + inside) * bin_v / math.sqrt(2.0)
 
 
 def fine_noise(blocks_v: FloatArray) -> float:
@@ -288,11 +293,27 @@ def fine_noise(blocks_v: FloatArray) -> float:
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
+    return MAD_TO_SD * median(_third_differences(blocks_v)) / THIRD_DIFFERENCE
+
+
+def block_noise(blocks_v: FloatArray, white_v: float) -> float:
+    """Noise of a block mean: what white noise gives it, or `fine_noise` where that is more than by chance."""
+    differences = _third_differences(blocks_v)
+    limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
+    # Counting costs a fifth of finding the median.
+    if 2 * np.count_nonzero(differences > limit_v) < differences.size:
+        return white_v
+    middle_v = median(differences)
+    return MAD_TO_SD * middle_v / THIRD_DIFFERENCE if middle_v > limit_v else white_v
+
+
+def _third_differences(blocks_v: FloatArray) -> FloatArray:
+    """Absolute values of a - 3 b + 3 c - d, shape (n - 3,)."""
     differences = blocks_v[2:-1] - blocks_v[1:-2]
     differences *= -3.0
     differences += blocks_v[3:]
     differences -= blocks_v[:-3]
-    return MAD_TO_SD * median(np.abs(differences, out=differences)) / THIRD_DIFFERENCE
+    return np.abs(differences, out=differences)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,7 +381,6 @@ def _levelled(
     blocks -= offset
     smooth_blocks = odd(TOP_SMOOTHING_S / step_s)
     noise = noise_rms(samples_v)
-    white, fine = noise / math.sqrt(block_samples), fine_noise(blocks)
     return {
         "blocks_v": blocks,
         "smooth_v": moving_mean(blocks, smooth_blocks),
@@ -371,7 +391,7 @@ def _levelled(
         "samples_v": samples_v,
         "offset_v": offset,
         "noise_rms_v": noise,
-        "block_noise_v": fine if fine > LEAST_EXCESS * white else white,
+        "block_noise_v": block_noise(blocks, noise / math.sqrt(block_samples)),
         "quiet_blocks": quiet,
     }
 

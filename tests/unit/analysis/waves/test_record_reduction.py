@@ -6,8 +6,11 @@ from support.synthetic_records import cos4
 
 from analysis.errors import RecordError
 from analysis.waves.record_reduction import (
+    LEAST_EXCESS,
     ExtractionSettings,
     Given,
+    block_noise,
+    fine_noise,
     matched_filter,
     moving_mean,
     noise_gain,
@@ -39,6 +42,17 @@ def test_noise_ignores_offset_hum_and_a_few_glitches(height):
 
 def test_noise_of_a_constant_is_zero():
     assert noise_rms(np.full(1000, 3.3)) == 0.0
+
+
+@pytest.mark.parametrize("n", [999, 1000])
+def test_noise_of_blocks_is_the_fine_one_where_that_is_larger_than_by_chance(n):
+    blocks = np.random.default_rng(n).standard_normal(n)
+    fine = fine_noise(blocks)
+    differences = blocks[:-3] - 3.0 * blocks[1:-2] + 3.0 * blocks[2:-1] - blocks[3:]
+    assert fine == pytest.approx(1.4826 * np.median(np.abs(differences)) / np.sqrt(20.0), rel=1e-12)
+    least = fine / LEAST_EXCESS
+    assert block_noise(blocks, 0.999 * least) == fine
+    assert block_noise(blocks, 1.001 * least) == 1.001 * least
 
 
 def test_moving_mean_takes_zeros_outside():
