@@ -127,7 +127,7 @@ def _is_maximum(values: FloatArray, k: int) -> bool:
 
 def _interpolated(force: ShotForce, index: int) -> tuple[float, float]:
     """Time in s and height in N of the parabola through the samples around a maximum."""
-    before, at, after = force.force_n[index - 1 : index + 2]
-    spacing = force.time_s[1] - force.time_s[0]
+    before, at, after = force.force_n[index - 1 : index + 2].tolist()
+    spacing_s = float(force.time_s[1]) - float(force.time_s[0])
     shift = 0.5 * (before - after) / (before - 2.0 * at + after)
-    return float(force.time_s[index] + shift * spacing), float(at - 0.25 * (before - after) * shift)
+    return float(force.time_s[index]) + shift * spacing_s, at - 0.25 * (before - after) * shift
