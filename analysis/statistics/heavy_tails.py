@@ -17,9 +17,11 @@ HEAVY = 1.5
 """Tails are heavy where the limit that allows for them is larger than the F limit by this factor."""
 FEWEST_DEGREES = 2.5
 """Of the fitted tail: below, it would have no mean."""
-CAUTION = 0.5
-"""Standard errors by which the tail is taken to be longer than found: the rate's average over baselines is
-above that of the average tail. Chosen by simulation of two kinds of t5 (`benchmarks/false_alarms.py`)."""
+CAUTION, LEAST_CAUTION, MOST_CAUTION = 0.1, 0.5, 1.2
+"""Standard errors, a feature, by which the tail is taken to be longer than found: the rate's average over
+baselines is above that of the average tail, and one feature's own jump is the smaller a part of the usual
+distance the more features there are. Chosen by simulation of two kinds of t5: sets that are far off as a
+whole, and features each by itself (`tests/validation/test_budget_of_false_alarms.py`)."""
 UPPER_HALF = 0.5 + (np.arange(200) + 0.5) / 400
 
 
@@ -47,7 +49,8 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
     n = d.size
     logs = np.sort(np.log(np.maximum(left_out_distances(d) / predictive_scale(n - 1, p), 1e-300)))
     middle, upper = float(np.median(logs)), logs[n // 2 :]
-    reach = float(upper.mean()) - middle + CAUTION * float(upper.std(ddof=1)) / math.sqrt(upper.size)
+    caution = min(max(CAUTION * p, LEAST_CAUTION), MOST_CAUTION)
+    reach = float(upper.mean()) - middle + caution * float(upper.std(ddof=1)) / math.sqrt(upper.size)
     per_degree, reaches, middles = _tails(n, p)
     inverse = float(np.interp(reach, reaches, per_degree))
     factor = math.exp(middle - float(np.interp(inverse, per_degree, middles)))

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from support.healthy_sequences import healthy
 
+from analysis.statistics.baseline import fit_baseline
+from analysis.statistics.default_limit import default_limit
 from analysis.statistics.sequence import assess
 
 NEW_SETS = 3000
@@ -31,3 +33,15 @@ def test_the_default_limit_keeps_its_rate_with_memory_and_tails(name, n, most_pe
         assert np.mean(plain) > 3.0 * np.mean(rates)
     # 25 x 3,000 sets are 1.7 times five years: a budget of one each; six or more have a chance of 1 %.
     assert alarms < 6
+
+
+@pytest.mark.parametrize("n_features", [5, 10])
+def test_the_default_limit_allows_for_features_that_jump_each_by_itself(n_features):
+    n, rates = 200, []
+    names = [f"feature {k}" for k in range(n_features)]
+    for seed in range(200):
+        x = np.random.default_rng([seed, n_features]).standard_t(5, (n + NEW_SETS, n_features))
+        limit = default_limit(x[:n], fit_baseline(x[:n], range(n), name="t5", feature_names=names))
+        rates.append(100.0 * np.mean(limit.distances_squared(x)[n:] > limit.limit))
+    # One baseline's rate has an SD of some .5 %: .035 % of the mean of 200, and .45 % is allowed.
+    assert 0.2 < np.mean(rates) < 0.45
