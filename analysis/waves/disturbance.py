@@ -32,8 +32,9 @@ DEEPEST_WAKE = 0.13
 """After the PSW a disk that leans by .05 rad swings back by a tenth of the wave."""
 FOOT_PER_FWHM = 0.4
 END_S, END_MEAN_S, FEWEST_END_MEANS = 200e-6, 20e-6, 3
-END_ASIDE = 0.3
-"""Of the means at the end, nearest to the level, that a drift may leave there: a wave leaves more."""
+END_ASIDE, END_NEAREST = 0.3, 0.25
+"""Of the means at the end, nearest to the level, that a drift may leave there: a wave leaves more. And how
+far off, of the others, the nearest one is at least: waves that overlap come back to the level between."""
 PSW_WIDTHS = 2.0
 """After its middle the reflected wave is over."""
 LEVEL_BLOCKS = 5
@@ -180,7 +181,9 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
         v / width * at_end / (since - width * (n - k - 0.5)) for k, v in enumerate(sums)
     )
     aside = round(END_ASIDE * n)
-    return max(levels[aside], -levels[-1 - aside])
+    if levels[aside] + levels[-1 - aside] < 0.0:
+        levels = [-level for level in reversed(levels)]
+    return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
 def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:

@@ -57,7 +57,7 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.6"
+EXTRACTOR_VERSION = "1.7"
 """Changes whenever any feature of any record or set would, and so with the flags."""
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7

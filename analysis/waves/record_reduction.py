@@ -111,6 +111,7 @@ class ExtractionSettings:
                 raise InvalidInputError(f"{field.name} is {value}; it must be positive and finite")
         for low, high in (
             ("psw_earliest_s", "psw_latest_s"),
+            ("isw_fwhm_s", "psw_latest_s"),
             ("ssw_after_psw_earliest_s", "ssw_after_psw_latest_s"),
         ):
             if getattr(self, low) >= getattr(self, high):

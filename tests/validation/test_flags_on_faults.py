@@ -84,8 +84,8 @@ def test_every_shot_at_a_through_hole_lacks_its_reflected_wave(shoot):
 @pytest.mark.parametrize(
     ("name", "rate"),
     [
-        ("hum 0.2 V, 50 Hz", 430 / 2_000),
-        pytest.param("hum 0.2 V, 60 Hz", 703 / 2_000, marks=pytest.mark.slow),
+        ("hum 0.2 V, 50 Hz", 406 / 2_000),
+        pytest.param("hum 0.2 V, 60 Hz", 676 / 2_000, marks=pytest.mark.slow),
     ],
 )
 def test_hum_is_found_in_part_and_leaves_the_(shoot, name, rate):

@@ -35,6 +35,9 @@ def test_the_transducer_s_own_shot_stays_as_it_was():
     [
         ({"isw_amplitude_v": 0.5}, ("missed",)),  # a quarter
         ({"isw_amplitude_v": 1.0}, ()),  # a PZT aged to half
+        ({"isw_amplitude_v": 1.0, "isw_fwhm_s": 73e-6}, ()),  # a strike half as strong: 2^(1/6) = 1.12
+        ({"isw_amplitude_v": 1.45, "isw_fwhm_s": 75e-6}, ("clipped",)),  # tanh to .9: .72 high, 1.16 wide
+        ({"isw_amplitude_v": 1.8, "isw_fwhm_s": 75e-6}, ()),  # too high for that: worn or tilted
         ({"isw_fwhm_s": 35e-6}, ("missed",)),
         ({"isw_fwhm_s": 100e-6}, ("missed",)),
         ({"isw_fwhm_s": 56.5e-6}, ()),  # beads worn to twice their radius
