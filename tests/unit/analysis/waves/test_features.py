@@ -461,7 +461,7 @@ def test_settings_refuse_what_is_not_positive(name, value):
 def test_settings_refuse_an_empty_window():
     with pytest.raises(InvalidInputError, match="psw_latest_s"):
         ExtractionSettings(psw_earliest_s=5e-4, psw_latest_s=4e-4)
-    with pytest.raises(InvalidInputError, match="isw_fwhm_s is 0.002 s"):
+    with pytest.raises(InvalidInputError, match=r"isw_fwhm_s is 0\.002 s"):
         ExtractionSettings(isw_fwhm_s=2e-3)  # learnt from samples 100 us apart
 
 
