@@ -38,7 +38,7 @@ GUIDANCE: Mapping[str, Guidance] = {
         does_not_say="that it is corrosion, nor how deep",
         look_first=(
             "the control position: does it move, too?",
-            "*contributions* in the proof: which feature",
+            "the contributions in the proof: which feature",
             "temperature, a knock, work at the rig at that hour",
         ),
         short="Does the control position move, too? Then which feature contributes; temperature.",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
 
 Proof = Mapping[str, Any]
@@ -31,19 +31,23 @@ INCIDENT: Mapping[str, str] = {
 MOST_FEATURES = 3
 
 
-def proof_sentences(row: AlarmRow, baselines: Mapping[int, str] = MappingProxyType({})) -> list[str]:
+def proof_sentences(row: AlarmRow, baselines: Mapping[int, BaselineRow] = MappingProxyType({})) -> list[str]:
     """Say what was measured, by how much it passes which limit, what contributes most, and when that was.
 
     Parameters
     ----------
     baselines
-        Names by the id of their row, which a proof holds; without its name it is "the baseline".
+        By their id, which a proof holds; without its name it is "the baseline", and is not doubted.
     """
+    baseline = baselines.get(row.proof.get("baseline_id", 0))
+    name = None if baseline is None else baseline.name
+    doubts = [] if baseline is None else baseline_doubts(baseline.readiness)
     with_set = "" if row.raised_set_index is None else f" with set {row.raised_set_index}"
     extractor = row.proof.get("extractor_version")
     by = "" if extractor is None else f"; computed by extractor {extractor}"
     return [
-        *evidence(row.kind, {**row.proof, "baseline": baselines.get(row.proof.get("baseline_id", 0))}),
+        *evidence(row.kind, {**row.proof, "baseline": name}),
+        *([f"{name}, which the set is compared with, is doubtful: {'; '.join(doubts)}."] if doubts else []),
         f"Raised{with_set} at hour {row.raised_h:.2f} of the test{by}.",
     ]
 
@@ -51,6 +55,18 @@ def proof_sentences(row: AlarmRow, baselines: Mapping[int, str] = MappingProxyTy
 def evidence(kind: str, proof: Proof) -> list[str]:
     """Say the same but for when; the first sentence says most, and there is none where there is no proof."""
     return list(_OF_KIND.get(kind, _supply)(proof))
+
+
+def baseline_doubts(readiness: Mapping[str, Any] | None) -> list[str]:
+    """Say what stands out of a baseline (`judgement.readiness`)."""
+    return [
+        {
+            "group": f"sets {', '.join(map(str, one['set_indices']))} lie together, away from the others",
+            "outlier": f"set {one['set_indices'][0]} lies alone, away from the others",
+            "trend": "a trend over the whole of it",
+        }.get(one["kind"], one["kind"])
+        for one in (readiness or {}).get("named", ())
+    ]
 
 
 def _wall_change(proof: Proof) -> Iterator[str]:
@@ -63,6 +79,8 @@ def _wall_change(proof: Proof) -> Iterator[str]:
         yield f"Against the baseline, over some ten sets: {', '.join(moved)}."
     if said := proof.get("confirmation"):
         yield confirmation_sentence(said)
+        if said["confirms"] is False and proof.get("cause") == "wall":
+            yield "The wall is named all the same: its probability counts that set and those planned since."
 
 
 def confirmation_sentence(said: Proof) -> str:

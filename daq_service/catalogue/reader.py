@@ -261,9 +261,9 @@ class Catalogue:
         found = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return found[0] if found else None
 
-    def baseline_names(self) -> dict[int, str]:
-        """Names of the baselines by the id of their row."""
-        return {row.id: row.name for row in self.rows(BaselineRow) if row.id is not None}
+    def baselines_by_id(self) -> dict[int, BaselineRow]:
+        """Give every baseline by the id of its row."""
+        return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
         self,

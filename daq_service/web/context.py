@@ -17,7 +17,7 @@ from starlette.requests import HTTPConnection
 from daq_service.alarms.proof import proof_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.picture import WaterfallReader
-from daq_service.catalogue.rows import AlarmRow, Row, SetRow, values
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
 from daq_service.orders.audit import Audit
@@ -201,8 +201,8 @@ class Freshness(freshness.Freshness):
         super().__init__(context.data_folder, self._catalogue, context.settings.clock.kind)
 
     @cached_property
-    def _baselines(self) -> dict[int, str]:
-        return self._catalogue.baseline_names()
+    def _baselines(self) -> dict[int, BaselineRow]:
+        return self._catalogue.baselines_by_id()
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""

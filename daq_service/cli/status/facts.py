@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
+from daq_service.alarms.proof import baseline_doubts
 from daq_service.archive import FolderSetReader
 from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
@@ -155,6 +156,7 @@ def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
         "state": row.state,
         "limit_reason": row.limit_reason,
         **{name: (row.readiness or {}).get(name) for name in names},
+        "doubts": baseline_doubts(row.readiness),
     }
 
 

@@ -11,10 +11,12 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from analysis.causes.hypotheses import OK, WALL
 from daq_service.alarms.guidance import GUIDANCE, in_order
 from daq_service.alarms.proof import confirmation_sentence
 from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
+from daq_service.judgement.cause import said
 from daq_service.processes.disk_policy import LEVELS
 
 STYLES = {
@@ -94,6 +96,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     for file, what in facts["lost"].items():
         yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
     yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
+    yield from (("verdict", *told) for told in _verdicts(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
         yield "decides", "the chart, or a cause named WALL; D² beyond its limit is an outlier, no alarm", ""
     yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
@@ -113,16 +116,29 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
             continue
         why = baseline["why_not_guaranteed"]
         promised = f"not promised: {why}" if why else "promised"
+        if baseline["doubts"]:
+            alike.setdefault(f"DOUBTFUL: {'; '.join(baseline['doubts'])}", []).append(name)
         budget = baseline["false_alarms_per_sensor_year"]
         alike.setdefault(f"{budget:g} false alarms a sensor and year, {promised}", []).append(name)
     yield from (f"{', '.join(names)}: {told}" for told, names in alike.items())
+
+
+def _verdicts(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Tell the cause of what the newest set of a position shows, where it is not as in the baseline."""
+    for name, row in positions.items():
+        verdict = row["last_verdict"]
+        if not _of_the_same_set(row["last_feature"], verdict) or verdict["cause"] in (None, OK):
+            continue
+        style = "bold red" if verdict["cause"] == WALL else "yellow"
+        told = said(verdict["cause"], verdict["cause_probability"], verdict["cause_told"])
+        yield f"{name}, set {verdict['set_index']}: {told}", style
 
 
 def _confirmations(facts: Mapping[str, Any]) -> str:
     """Tell how many sets were beside the plan, what the newest says, and how many may still come today."""
     left = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
-    told = "" if last is None else f", the last at {last['position']}. {confirmation_sentence(last)}"
+    told = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
     return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {left}{told}"
 
 

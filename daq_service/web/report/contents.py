@@ -18,6 +18,7 @@ from daq_service.catalogue.reader import Filters, LastWord
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    BaselineRow,
     CommandRow,
     EventRow,
     ExperimentRow,
@@ -124,7 +125,7 @@ class Contents:
     extractors: Sequence[str]
     places: Sequence[Place]
     gaps: Sequence[Gap]
-    baselines: Mapping[int, str]
+    baselines: Mapping[int, BaselineRow]
     alarms: Sequence[AlarmRow]
     history: Mapping[int, Sequence[EventRow]]
     annotations: Sequence[AnnotationRow]
@@ -196,7 +197,7 @@ def read_contents(
             ),
             places=places,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
-            baselines=catalogue.baseline_names(),
+            baselines=catalogue.baselines_by_id(),
             alarms=alarms[-MOST_LINES:],
             history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
             annotations=catalogue.rows(AnnotationRow, **asked)[-MOST_LINES:],

@@ -35,7 +35,7 @@ table { border-collapse: collapse; width: 100%; font-size: .85rem; margin: .4rem
 caption { text-align: left; color: var(--soft); padding-bottom: .2rem }
 th, td { text-align: left; vertical-align: top; padding: .2rem .6rem .2rem 0; overflow-wrap: anywhere;
          border-bottom: 1px solid var(--line) }
-thead th { border-bottom: 2px solid var(--ink) } tbody th { font-weight: 600 }
+thead th { border-bottom: 2px solid var(--ink) } tbody th { font-weight: 600; min-width: 10rem }
 figure { margin: .6rem 0 } svg { width: 100%; height: auto }
 pre { font-size: .75rem; white-space: pre-wrap; overflow-wrap: anywhere }
 @media print { body { margin: 0; padding: 0; max-width: none; font-size: 11px } nav { display: none }

@@ -181,7 +181,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
                 for row, quality in zip(told, judged_qualities(catalogue, methods, kept), strict=True):
                     row["quality"] = quality
             if kind.row is AlarmRow:
-                baselines = catalogue.baseline_names()
+                baselines = catalogue.baselines_by_id()
                 for row, alarm in zip(told, kept, strict=True):
                     row["proof_sentences"] = proof_sentences(alarm, baselines)
             yield _by_column([with_parts(kind.row, row) for row in told], names)

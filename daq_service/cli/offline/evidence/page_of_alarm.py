@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from html import escape
 from importlib.metadata import version
@@ -17,6 +17,9 @@ from daq_service.cli.offline.evidence.explained import Explained, Recomputed
 from daq_service.cli.offline.evidence.pictures import Picture
 from daq_service.clock import format_utc
 from daq_service.web.report.page import STYLE, plain, table
+
+STATE = "averages"
+"""What chart and cause remember from set to set: in the JSON, no reader needs it."""
 
 
 def title_of(found: Explained) -> str:
@@ -52,7 +55,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
         "Does it come out again?": _again(found),
         "What to do first": _guidance(alarm.kind),
         "Its history": [_history(found)],
-        "Proof, as stored": [table("", (), [(name, plain(value)) for name, value in alarm.proof.items()])],
+        "Proof, as stored": [table("", (), _rows(alarm.proof))],
     }
     made = (
         f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
@@ -107,12 +110,13 @@ def _facts_of(again: Recomputed) -> dict[str, Any]:
 
 def _sentences(found: Explained) -> list[str]:
     baseline = None if found.again is None else found.again.baseline
-    return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline.name})
+    return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
 def _found(found: Explained) -> list[str]:
+    message = found.alarm.message
     return [
-        f"<p><strong>{escape(found.alarm.message)}</strong></p>",
+        f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
         *(f"<p>{escape(sentence)}</p>" for sentence in _sentences(found)),
     ]
 
@@ -143,10 +147,21 @@ def _again(found: Explained) -> list[str]:
     head = ("What", "Sets", "First set", "Stored", "Recomputed")
     parts.append(table("Values are those of the first set that differs", head, rows))
     if verdict := next((r for r in again.verdicts if r.set_index == found.alarm.raised_set_index), None):
-        row = {name: value for name, value in values(verdict).items() if name not in NOT_SAID}
-        told = [(name, plain(value)) for name, value in row.items() if value is not None]
-        parts.append(table(f"Verdict of set {verdict.set_index}, recomputed", (), told))
+        row = {name: value for name, value in values(verdict).items() if name not in (*NOT_SAID, STATE)}
+        parts.append(table(f"Verdict of set {verdict.set_index}, recomputed", (), _rows(row)))
     return parts
+
+
+def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Give name and value of what there is, also within a value."""
+    return [
+        (
+            name,
+            plain({k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value),
+        )
+        for name, value in facts.items()
+        if value is not None
+    ]
 
 
 def _guidance(kind: str) -> list[str]:

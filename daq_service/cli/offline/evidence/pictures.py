@@ -99,7 +99,8 @@ def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
         axes[-1].set_xlabel("hour of the test at which the set was due")
         svg = svg_of(figure, "sets")
     what = " and ".join(panel.label for panel in panels)
-    told = f"{what} of each set up to the alarm; the baseline is shaded, the dashed line is the alarm's set."
+    shaded = "" if baseline_ends_h is None else "the baseline is shaded, "
+    told = f"{what} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
     return Picture(name="sets", told=told[0].upper() + told[1:], svg=svg)
 
 

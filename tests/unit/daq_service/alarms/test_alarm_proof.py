@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.filled_folder import frozen_baseline
 
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.alarms.guidance import GUIDANCE
@@ -138,10 +139,27 @@ def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
 def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_name() -> None:
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
     assert proof_sentences(alarm("wall_change"))[-1] == when
-    first, *others = proof_sentences(alarm("wall_change"), {2: "C-baseline-1", 3: "D-baseline-1"})
+    of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
+    first, *others = proof_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
     assert first.startswith("Set 49 lies at a squared distance of 48.6 from C-baseline-1, 2 times")
     assert others == proof_sentences(alarm("wall_change"))[1:]
     assert proof_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
+
+
+def test_a_doubtful_baseline_is_told_with_what_is_compared_with_it() -> None:
+    named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
+    doubtful = frozen_baseline("C", readiness={"named": named})
+    assert proof_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
+        "C-baseline-1, which the set is compared with, is doubtful: sets 3, 4 lie together, away from the "
+        "others; a trend over the whole of it."
+    )
+
+
+@pytest.mark.parametrize(("cause", "told"), [("wall", True), ("coupling", False)])
+def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause: str, told: bool) -> None:
+    said = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
+    last = evidence("wall_change", {"cause": cause, "confirmation": said})[-1]
+    assert ("counts that set" in last) is told
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())

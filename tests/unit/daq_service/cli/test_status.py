@@ -99,6 +99,23 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
 
 
+def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: FilledFolder) -> None:
+    facts = describe_status(filled.folder, filled.settings)
+    assert not any(line.startswith("verdict") for line in told(facts))
+    told_of = {"sentence": "the wave has changed", "action": "inspect"}
+    for name, cause, probability in (("B", "wall", 0.97), ("C", "cannot tell", 0.98), ("D", "ok", 0.9)):
+        facts["positions"][name]["last_verdict"] |= {
+            "cause": cause,
+            "cause_probability": probability,
+            "cause_told": told_of,
+        }
+    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("verdict")]
+    assert lines == [
+        f"verdict  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
+        f"verdict  C, set {SETS - 1}: CANNOT TELL: the wave has changed; inspect",
+    ]
+
+
 def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
     filled.add_set(SETS, stored=False, judged=False)
     row = line_of(status_of(filled), " B")
@@ -189,7 +206,7 @@ def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFo
     assert (told_of["sets"], told_of["last"]["position"], told_of["last"]["confirms"]) == (1, "C", True)
     assert (told_of["last"]["set_index"], told_of["last"]["age_h"]) == (index, 0.0)
     assert line_of(told(facts), "confirm") == (
-        "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2, the last at C. "
+        "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
         "24.3, lies where the planned sets before it do."
     )
@@ -198,15 +215,19 @@ def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFo
 def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
     promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
     short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}
-    for name, readiness in (("B", short), ("C", short), ("D", promised)):
+    doubtful = promised | {
+        "named": [{"kind": "outlier", "set_indices": [6]}, {"kind": "trend", "set_indices": [0, 1, 2]}]
+    }
+    for name, readiness in (("B", short), ("C", short), ("D", doubtful)):
         filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
     facts = describe_status(filled.folder, filled.settings)
     assert facts["positions"]["A"]["baseline"] is None
     told_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
-    assert facts["positions"]["B"]["baseline"] == told_of_b | short
+    assert facts["positions"]["B"]["baseline"] == told_of_b | short | {"doubts": []}
     lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("baseline")]
     assert lines == [
         "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
+        "baseline  D: DOUBTFUL: set 6 lies alone, away from the others; a trend over the whole of it",
         "baseline  D: 0.2 false alarms a sensor and year, promised",
     ]
 
