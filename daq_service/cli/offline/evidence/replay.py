@@ -40,6 +40,9 @@ from daq_service.processes.data_folder import refuse_other_folders
 from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
 from hardware_drivers.measurement import in_order
 
+TELLING = ("row", "cause", "outlier", "chart_alarm")
+"""Columns that are told first: what becomes of a set, before the numbers behind it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replayed:
@@ -181,15 +184,26 @@ def in_words(found: Replayed) -> Iterable[str]:
 
 
 def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Say which columns of the sets' rows differ, a line a position; `--json` has the values."""
-    by_place: dict[tuple[str, str], list[Difference]] = {}
+    """Say in how many sets each column of their rows differs, a line a position; `--json` has the values.
+
+    Of a column of named values the name that differs in most sets stands for all.
+    """
+    by_place: dict[tuple[str, str], dict[str, Difference]] = {}
     for row in found:
         if row.table != "baseline":
-            by_place.setdefault((row.table, row.position), []).append(row)
-    for (table, position), rows in by_place.items():
-        columns = dict.fromkeys(row.column.partition(".")[0] for row in rows)
-        n_sets, first = max(row.n_rows for row in rows), min(row.first_set_index for row in rows)
-        yield f"{table} {position}: {n_sets} sets from set {first} on differ in {', '.join(columns)}"
+            columns = by_place.setdefault((row.table, row.position), {})
+            name = row.column.partition(".")[0]
+            columns[name] = max(columns.get(name, row), row, key=lambda one: one.n_rows)
+    for (table, position), columns in by_place.items():
+        alike: dict[tuple[int, int], list[str]] = {}
+        for name in sorted(columns, key=lambda name: (*TELLING, name).index(name)):
+            row = columns[name]
+            alike.setdefault((row.n_rows, row.first_set_index), []).append(row.column)
+        told = [
+            f"{', '.join(names)} in {f'{n} sets from set {first} on' if n > 1 else f'set {first}'}"
+            for (n, first), names in alike.items()
+        ]
+        yield f"{table} {position}: {'; '.join(told)}"
 
 
 def _where(onset: Onset) -> str:

@@ -125,6 +125,17 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
     # Set 15 was judged, and is part of the baseline now.
     assert of_b["verdict", "in_baseline"].n_rows == 1
     assert of_b["verdict", "in_baseline"].first_set_index == 15
+    assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
+
+
+def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(line):
+    found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
+    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("verdict", "B")}
+    outlier = of_b["outlier"]
+    assert of_b["limit_name"].n_rows > outlier.n_rows > 1
+    (told,) = [words for words in in_words(found) if words.startswith("verdict B")]
+    first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
+    assert f"{first}; limit_name in 25 sets from set 0 on" in told
 
 
 @pytest.mark.parametrize(
