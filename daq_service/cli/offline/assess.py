@@ -16,8 +16,9 @@ import click
 from analysis.statistics.design import Budget
 from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
+from daq_service.cli.offline.csv_lines import NoTableError
 from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
-from daq_service.cli.offline.table_file import NoTableError, read_table
+from daq_service.cli.offline.table_file import read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
 from daq_service.processes.executors import opened_executor, usable_cores

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq_service.cli.offline.csv_lines import NoTableError, csv_lines
 from daq_service.errors import UsageError
-from daq_service.shared_file import read_shared
 
 MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
@@ -21,10 +21,6 @@ SEPARATORS = ";\t,"
 MISSING = frozenset({"", "na", "n/a", "nan", "nil", "null", "none", "-"})
 """What stands in a cell without a value, in small letters."""
 NAMES_SHOWN = 12
-
-
-class NoTableError(UsageError):
-    """A file is there, but what it holds is no table: an answer of its own beside those of other files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,12 +110,12 @@ def _columns(path: Path) -> dict[str, Any]:
 
 
 def _of_csv(path: Path) -> dict[str, Any]:
+    lines = csv_lines(path)
+    separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
     try:
-        lines = [line for line in read_shared(path).decode("utf-8-sig").splitlines() if line.strip()]
-        separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
         rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise NoTableError(f"{path} is no CSV file in UTF-8: {error}") from error
+    except csv.Error as error:
+        raise NoTableError(f"{path} is no CSV file: {error}") from error
     if not rows:
         raise NoTableError(f"{path} is empty; its first line names the columns")
     if separator != ",":

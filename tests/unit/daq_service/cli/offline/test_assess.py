@@ -150,7 +150,7 @@ def test_people_are_told_in_words(tables):
         ("a.csv", "a,b\nx,y", "no column of numbers; it has a, b, with 'x', 'y' in row 0"),
         ("a.csv", 'a,b\n"1,5","2,5"', "with '1,5', '2,5' in row 0: a number has a decimal point"),
         ("a.csv", "a,b\n1,5,2,5", "row 0 has 4 cells, the first line 2: leave a cell empty"),
-        ("a.csv", b"a,b\n\xff\xfe,1", "no CSV file in UTF-8"),
+        ("a.csv", b"a,b\n1,2\n20 \xb0C,1", "in UTF-8: byte 4 of line 3 is 0xb0; save it as UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
     ],
