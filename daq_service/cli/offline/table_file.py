@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.offline.csv_lines import NoTableError, csv_lines
+from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, csv_lines, is_comment
 from daq_service.errors import UsageError
 
 MOST_ROWS = 5_000_000
@@ -110,28 +111,44 @@ def _columns(path: Path) -> dict[str, Any]:
 
 
 def _of_csv(path: Path) -> dict[str, Any]:
-    lines = csv_lines(path)
+    comments, lines = csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
+    cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
     try:
-        rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
+        rows = list(cells(lines))
+        (last_comment,) = cells([comments[-1].lstrip("# ") if comments else ""])
     except csv.Error as error:
         raise NoTableError(f"{path} is no CSV file: {error}") from error
     if not rows:
         raise NoTableError(f"{path} is empty; its first line names the columns")
     if separator != ",":
         rows = [rows[0], *([cell.replace(",", ".") for cell in row] for row in rows[1:])]
-    header, body = [cell.strip() for cell in rows[0]], rows[1:]
-    numbered = [str(k) for k in range(len(header))]
-    if header != numbered and all(_is_number(cell.replace(",", ".")) for cell in header):
-        header, body = numbered, [[cell.replace(",", ".") for cell in header], *body]  # no names
+    header, body = _named(last_comment, rows)
     _require_names_once(path, header)
     for number, row in enumerate(body):
+        known = len(row) == len(header) and any(_is_missing(cell) or _is_number(cell) for cell in row)
+        if not known and is_comment(text := separator.join(row)):
+            raise NoTableError(f"{path}: row {number} is a comment, {text[:40]!r}; {COMMENTS}")
         if len(row) != len(header):
             raise NoTableError(
                 f"{path}: row {number} has {len(row)} cells, the first line {len(header)}: leave a cell "
                 "empty where a value is missing, and separate by semicolons or tabs where a comma is decimal"
             )
     return {name: [row[k] for row in body] for k, name in enumerate(header)}
+
+
+def _named(last_comment: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """Give names of columns and the rows that are none: the first line names them, or the last comment."""
+    header = [cell.strip() for cell in rows[0]]
+    numbered = [str(k) for k in range(len(header))]
+    numbers = [_is_number(cell.replace(",", ".")) for cell in header]
+    if header == numbered or not any(numbers):
+        return header, rows[1:]
+    body = [[cell.replace(",", ".") for cell in header], *rows[1:]]
+    names = [cell.strip() for cell in last_comment]
+    if len(names) == len(header) and not all(map(_is_number, names)):
+        return names, body
+    return (numbered, body) if all(numbers) else (header, rows[1:])
 
 
 def _require_names_once(path: Path, names: Sequence[str]) -> None:

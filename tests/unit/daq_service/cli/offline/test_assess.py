@@ -11,6 +11,7 @@ from support.healthy_sequences import healthy
 
 from daq_service.cli.main import cli
 from daq_service.cli.offline.fleet import fleet_in_words
+from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
 NAMES = ["tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s"]
@@ -150,6 +151,9 @@ def test_people_are_told_in_words(tables):
         ("a.csv", "a,b\nx,y", "no column of numbers; it has a, b, with 'x', 'y' in row 0"),
         ("a.csv", 'a,b\n"1,5","2,5"', "with '1,5', '2,5' in row 0: a number has a decimal point"),
         ("a.csv", "a,b\n1,5,2,5", "row 0 has 4 cells, the first line 2: leave a cell empty"),
+        ("a.csv", "a,b\n1,2\n# paused, cold, wet\n3,4", "row 1 is a comment, '# paused,cold,wet'; comments"),
+        ("a.csv", "a,b\n1,2\n# paused, cold", "row 1 is a comment"),
+        ("a.csv", "# a,b", "empty"),
         ("a.csv", b"a,b\n1,2\n20 \xb0C,1", "in UTF-8: byte 4 of line 3 is 0xb0; save it as UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
@@ -256,6 +260,37 @@ def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separato
     (tmp_path / "other.csv").write_text(text, encoding="utf-8-sig")
     (found,) = told(tmp_path / "other.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
+
+
+@pytest.mark.parametrize(
+    ("before", "names"),
+    [
+        ('# Rig 3, April\n# no: "quotes\nx,y,z', ["x", "y", "z"]),
+        ("# s, V, V\nx,y,z", ["x", "y", "z"]),
+        ("# Rig 3\n# x,y,z", ["x", "y", "z"]),
+        ("#,y,z", ["y", "z"]),
+        ("# Rig 3", ["0", "1", "2"]),
+        ("# 1,2,3", ["0", "1", "2"]),
+    ],
+)
+def test_comments_before_the_rows_are_skipped_and_the_last_one_may_name_the_columns(
+    tmp_path, vectors, before, names
+):
+    path = tmp_path / "a.csv"
+    rows = [",".join(map(repr, row[:3])) for row in vectors.tolist()]
+    path.write_text("\n".join([before, *rows]), encoding="utf-8")
+    table = read_table(path, features=(), baseline_rows=40, baseline_where=None)
+    assert list(table.names) == names
+    assert table.vectors == pytest.approx(vectors[:, 3 - len(names) : 3])
+
+
+def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
+    path = tmp_path / "a.csv"
+    cells = [f"#{row},{a}" if row != 50 else "#50," for row, (a, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
+    (found,) = told(path, "--baseline-rows", 40)
+    assert found["refused"] is None
+    assert [one["row"] for one in found["left_out"]] == [50]
 
 
 def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):
