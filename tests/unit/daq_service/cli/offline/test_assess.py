@@ -154,6 +154,7 @@ def test_people_are_told_in_words(tables):
         ("a.csv", "a,b\n1,2\n# paused, cold, wet\n3,4", "row 1 is a comment, '# paused,cold,wet'; comments"),
         ("a.csv", "a,b\n1,2\n# paused, cold", "row 1 is a comment"),
         ("a.csv", "# a,b", "empty"),
+        ("a.csv", "a;b\n12.040,9;1.000,5", "with '12.040,9', '1.000,5' in row 0: a number has"),
         ("a.csv", b"a,b\n1,2\n20 \xb0C,1", "in UTF-8: byte 4 of line 3 is 0xb0; save it as UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
@@ -291,6 +292,20 @@ def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
     (found,) = told(path, "--baseline-rows", 40)
     assert found["refused"] is None
     assert [one["row"] for one in found["left_out"]] == [50]
+
+
+def test_cells_are_told_as_the_file_has_them(tmp_path, vectors):
+    path = tmp_path / "a.csv"
+    rows = [f"12.040,{row:03};{a!r};{0.5 * (row < 40)}" for row, (a, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["hour;a;phase", *rows]).replace(";0.", ";0,"), encoding="utf-8")
+    assert "column 'hour' holds '12.040,000', no number" in refused(
+        path, "--baseline-rows", 40, "--features", "hour"
+    )
+    (bad,) = told(path, "--baseline-where", "phase=0.6")
+    assert bad["refused"].endswith("no row has phase=0.6; there is 0,5, 0,0")
+    for value in ("0.5", "0,5"):
+        (found,) = told(path, "--baseline-where", f"phase={value}")
+        assert found["n"] == 40
 
 
 def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):
