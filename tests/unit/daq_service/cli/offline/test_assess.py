@@ -215,8 +215,11 @@ def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
 
 def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
     answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
-    assert json.loads(answer.stdout)["sensors"][0]["n"] == 120
-    assert "the last of 120 rows is baseline: nothing is judged" in answer.stderr
+    (found,) = json.loads(answer.stdout)["sensors"]
+    assert found["n"] == 120
+    assert found["nothing_judged"].startswith("the last of 120 rows is baseline: nothing is judged")
+    assert found["nothing_judged"] in answer.stderr
+    assert told(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
 
 
 @pytest.mark.parametrize(
