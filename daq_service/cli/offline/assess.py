@@ -16,8 +16,9 @@ import click
 from analysis.statistics.design import Budget
 from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
+from daq_service.cli.offline.csv_lines import NoTableError
 from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
-from daq_service.cli.offline.table_file import NoTableError, read_table
+from daq_service.cli.offline.table_file import read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
 from daq_service.processes.executors import opened_executor, usable_cores
@@ -127,9 +128,12 @@ def sensor(
     told["features_dropped"] = list(found.features_dropped)
     if found.refused is not None:
         return told | _nothing(with_rows=with_rows)
+    nothing, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
-        click.echo(f"{path}: the last of {len(table.vectors)} rows is baseline: nothing is judged", err=True)
+        nothing = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
+        click.echo(f"{path}: {nothing}", err=True)
     told |= {
+        "nothing_judged": nothing,
         "n": found.n,
         "n_eff": found.n_eff,
         "phi_pooled": found.phi_pooled,
@@ -154,7 +158,7 @@ def sensor(
 def _nothing(*, with_rows: bool) -> dict[str, Any]:
     lists = ("suspects", "named", "left_out", *(("rows",) if with_rows else ()))
     return {
-        **dict.fromkeys(("n", "n_eff", "phi_pooled", "tail")),
+        **dict.fromkeys(("nothing_judged", "n", "n_eff", "phi_pooled", "tail")),
         **{name: [] for name in lists},
         **{name: {} for name in ("limits", "count", "first")},
         "alarm": {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},

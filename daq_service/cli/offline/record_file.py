@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daq_service.archive import ArchiveError
 from daq_service.archive.reader import read_records
+from daq_service.cli.offline.csv_lines import COMMENTS, csv_lines, is_comment
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -111,10 +112,7 @@ def _npy(path: Path, told: Told) -> RecordFile:
 
 
 def _csv(path: Path, told: Told) -> RecordFile:
-    try:
-        lines = [line for line in read_shared(path).decode("utf-8-sig").splitlines() if line.strip()]
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no CSV file in UTF-8: {error}") from error
+    _, lines = csv_lines(path)
     if lines and not any(map(_is_number, _cells(lines[0]))):
         del lines[0]  # names
     counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _cells(lines[0])))
@@ -122,6 +120,8 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
     def records(every: int) -> Iterator[Record]:
         for number, line in list(enumerate(lines))[::every]:
+            if is_comment(line):
+                raise UsageError(f"{path}, record {number}: {line[:40]!r} is a comment; {COMMENTS}")
             cells = _cells(line)
             if not any(map(_is_number, cells)):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r}; a row is a record of numbers")

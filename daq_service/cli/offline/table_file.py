@@ -5,14 +5,15 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, csv_lines, is_comment
 from daq_service.errors import UsageError
-from daq_service.shared_file import read_shared
 
 MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
@@ -21,10 +22,6 @@ SEPARATORS = ";\t,"
 MISSING = frozenset({"", "na", "n/a", "nan", "nil", "null", "none", "-"})
 """What stands in a cell without a value, in small letters."""
 NAMES_SHOWN = 12
-
-
-class NoTableError(UsageError):
-    """A file is there, but what it holds is no table: an answer of its own beside those of other files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +62,7 @@ def read_table(
     UsageError
         There is no such file, or it has no such column; with what it has.
     """
-    columns = _columns(path)
+    columns, decimal = _columns(path)
     healthy_by = baseline_where[0] if baseline_where else None
     if healthy_by is not None and healthy_by not in columns:
         raise UsageError(f"{path}: no column {healthy_by!r}; it has {_listed(columns)}")
@@ -73,69 +70,86 @@ def read_table(
     if missing:
         raise UsageError(f"{path}: no column {_listed(missing)}; it has {_listed(columns)}")
     chosen = list(features) or [name for name in columns if name not in ("", healthy_by)]
-    numbers = {name: _numbers(columns[name]) for name in chosen}
+    numbers = {name: _numbers(columns[name], decimal) for name in chosen}
     if features:
         for name, column in numbers.items():
             if column is None:
-                raise UsageError(f"{path}: column {name!r} holds {_no_number(columns[name])!r}, no number")
+                cell = _no_number(columns[name], decimal)
+                raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number")
     kept = {name: column for name, column in numbers.items() if column is not None}
     if not kept:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
             f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
-            "decimal point, or a comma where semicolons or tabs separate"
+            "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     vectors = np.stack(list(kept.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
-        healthy = _equal(columns[baseline_where[0]], baseline_where[1])
+        healthy = _equal(columns[baseline_where[0]], baseline_where[1], decimal)
         if not healthy.any():
             there = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
             raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {there}")
     return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy)
 
 
-def _columns(path: Path) -> dict[str, Any]:
-    """Every column by its name, as the file has it."""
+def _columns(path: Path) -> tuple[dict[str, Any], str]:
+    """Every column by its name, as the file has it, and what may be a decimal point in its texts."""
     reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
         raise UsageError(f"{path}: a table is a .csv, .parquet or .npy file, not {ending}")
     try:
-        columns = reader(path)
+        columns, decimal = reader(path)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1 or not 0 < max(lengths) <= MOST_ROWS:
         rows = max(lengths, default=0)
         raise NoTableError(f"{path}: {rows} rows; a table has a row a set, 1 to {MOST_ROWS:,} of them")
-    return columns
+    return columns, decimal
 
 
-def _of_csv(path: Path) -> dict[str, Any]:
+def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
+    comments, lines = csv_lines(path)
+    separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
+    cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
     try:
-        lines = [line for line in read_shared(path).decode("utf-8-sig").splitlines() if line.strip()]
-        separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
-        rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise NoTableError(f"{path} is no CSV file in UTF-8: {error}") from error
+        rows = list(cells(lines))
+        (last_comment,) = cells([comments[-1].lstrip("# ") if comments else ""])
+    except csv.Error as error:
+        raise NoTableError(f"{path} is no CSV file: {error}") from error
     if not rows:
         raise NoTableError(f"{path} is empty; its first line names the columns")
-    if separator != ",":
-        rows = [rows[0], *([cell.replace(",", ".") for cell in row] for row in rows[1:])]
-    header, body = [cell.strip() for cell in rows[0]], rows[1:]
-    numbered = [str(k) for k in range(len(header))]
-    if header != numbered and all(_is_number(cell.replace(",", ".")) for cell in header):
-        header, body = numbered, [[cell.replace(",", ".") for cell in header], *body]  # no names
+    decimal = "." if separator == "," else ","
+    header, body = _named(last_comment, rows, decimal)
     _require_names_once(path, header)
     for number, row in enumerate(body):
+        known = len(row) == len(header) and any(
+            _is_missing(cell) or _is_number(cell, decimal) for cell in row
+        )
+        if not known and is_comment(text := separator.join(row)):
+            raise NoTableError(f"{path}: row {number} is a comment, {text[:40]!r}; {COMMENTS}")
         if len(row) != len(header):
             raise NoTableError(
                 f"{path}: row {number} has {len(row)} cells, the first line {len(header)}: leave a cell "
                 "empty where a value is missing, and separate by semicolons or tabs where a comma is decimal"
             )
-    return {name: [row[k] for row in body] for k, name in enumerate(header)}
+    return {name: [row[k] for row in body] for k, name in enumerate(header)}, decimal
+
+
+def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
+    """Give names of columns and the rows that are none: the first line names them, or the last comment."""
+    header = [cell.strip() for cell in rows[0]]
+    numbered = [str(k) for k in range(len(header))]
+    numbers = [_is_number(cell, decimal) for cell in header]
+    if header == numbered or not any(numbers):
+        return header, rows[1:]
+    names = [cell.strip() for cell in last_comment]
+    if len(names) == len(header) and not all(_is_number(name, decimal) for name in names):
+        return names, rows
+    return (numbered, rows) if all(numbers) else (header, rows[1:])
 
 
 def _require_names_once(path: Path, names: Sequence[str]) -> None:
@@ -144,7 +158,7 @@ def _require_names_once(path: Path, names: Sequence[str]) -> None:
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
-def _of_parquet(path: Path) -> dict[str, Any]:
+def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
     from daq_service.web.tables.formats import pyarrow
 
     arrow = pyarrow()
@@ -156,13 +170,14 @@ def _of_parquet(path: Path) -> dict[str, Any]:
         raise NoTableError(f"{path} is no Parquet file: {error}") from error
     _require_names_once(path, table.column_names)
     numbers = (arrow.types.is_floating, arrow.types.is_integer)
-    return {
+    columns = {
         name: column.to_numpy() if any(kind(column.type) for kind in numbers) else column.to_pylist()
         for name, column in zip(table.column_names, table.columns, strict=True)
     }
+    return columns, "."
 
 
-def _of_npy(path: Path) -> dict[str, Any]:
+def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
     try:
         array = np.load(path, allow_pickle=False)
     except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
@@ -170,15 +185,15 @@ def _of_npy(path: Path) -> dict[str, Any]:
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise NoTableError(f"{path}: {what}; it must be numbers, rows x features")
-    return {str(k): array[:, k] for k in range(array.shape[1])}
+    return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _numbers(column: Any) -> NDArray[np.float64] | None:
+def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
     """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64)
     told = [None if _is_missing(cell) else cell for cell in column]
-    values = [_number(cell) for cell in told]
+    values = [_number(cell, decimal) for cell in told]
     strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
     if 2 * strange > len(told) - told.count(None):
         return None
@@ -189,27 +204,27 @@ def _is_missing(cell: Any) -> bool:
     return cell is None or (isinstance(cell, str) and cell.strip().lower() in MISSING)
 
 
-def _number(cell: Any) -> float | None:
+def _number(cell: Any, decimal: str) -> float | None:
     if isinstance(cell, bool):
         return None
     try:
-        return float(cell)
+        return float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)
     except (TypeError, ValueError):
         return None
 
 
-def _is_number(cell: str) -> bool:
-    return _number(cell) is not None
+def _is_number(cell: str, decimal: str) -> bool:
+    return _number(cell, decimal) is not None
 
 
-def _no_number(column: Sequence[Any]) -> Any:
-    return next(cell for cell in column if not _is_missing(cell) and _number(cell) is None)
+def _no_number(column: Sequence[Any], decimal: str) -> Any:
+    return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
 
 
-def _equal(column: Any, value: str) -> NDArray[np.bool_]:
+def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
     """Rows whose cell is a value, as text or as a number."""
-    wanted = _numbers([value])
-    numbers = _numbers(column)
+    wanted = _numbers([value], decimal)
+    numbers = _numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)

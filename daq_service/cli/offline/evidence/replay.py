@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,8 +14,8 @@ import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
-from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import FeatureRow
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.rows import FeatureRow, VerdictRow
 from daq_service.cli.offline.evidence.ahead import ExtractedAhead
 from daq_service.cli.offline.evidence.changes import (
     EXTRACTED,
@@ -36,9 +36,36 @@ from daq_service.cli.offline.evidence.judged_again import (
 )
 from daq_service.cli.offline.evidence.other_settings import changed, parsed
 from daq_service.errors import UsageError
+from daq_service.judgement.life import planned
 from daq_service.processes.data_folder import refuse_other_folders
 from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
+from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import in_order
+from hardware_drivers.methods import SOLITARY_WAVE
+
+TELLING = ("row", "cause", "outlier", "chart_alarm")
+"""Columns that are told first: what becomes of a set, before the numbers behind it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NotJudged:
+    """All sets of a position belong to its baseline, or to one that is never complete.
+
+    Attributes
+    ----------
+    first_set_index, last_set_index
+        Sets that the baseline takes.
+    last_set
+        The position's last one.
+    told
+        The same in words, with what to do.
+    """
+
+    position: str
+    first_set_index: int
+    last_set_index: int
+    last_set: int
+    told: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +83,7 @@ class Replayed:
     extracted: bool
     extractor_version: str
     sets: int
+    not_judged: list[NotJudged]
     alarms: AlarmChanges
     differences: list[Difference]
 
@@ -138,11 +166,31 @@ def replayed(
             extracted=extract_by is not None,
             extractor_version=extractor,
             sets=len(sets),
+            not_judged=[
+                one for name in settings.names_of(SOLITARY_WAVE) for one in _not_judged(name, again, settings)
+            ],
             alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
             differences=differences(
                 (*EXTRACTED, *JUDGED) if extract_by else JUDGED, stored, again, up_to_set=last
             ),
         )
+
+
+def _not_judged(position: str, again: Catalogue, settings: Settings) -> Iterator[NotJudged]:
+    """Tell that no set of a position lies behind its baseline: no alarm says so."""
+    found = again.columns(VerdictRow, ("set_index", "in_baseline"), position=position)
+    if not all(found["in_baseline"]) or not found["set_index"]:
+        return
+    its, last_set = planned(position, settings, again.baseline(position)), max(found["set_index"])
+    yield NotJudged(
+        position=position,
+        first_set_index=its.first_set,
+        last_set_index=its.last_set,
+        last_set=last_set,
+        told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
+        f"{its.first_set} to {its.last_set} the baseline, and the last one there is set {last_set}; "
+        "give fewer hours",
+    )
 
 
 def _one_extractor(versions: Iterable[str]) -> str:
@@ -176,20 +224,33 @@ def in_words(found: Replayed) -> Iterable[str]:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
+    for unjudged in found.not_judged:
+        yield unjudged.told
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 
 
 def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Say which columns of the sets' rows differ, a line a position; `--json` has the values."""
-    by_place: dict[tuple[str, str], list[Difference]] = {}
+    """Say in how many sets each column of their rows differs, a line a position; `--json` has the values.
+
+    Of a column of named values the name that differs in most sets stands for all.
+    """
+    by_place: dict[tuple[str, str], dict[str, Difference]] = {}
     for row in found:
         if row.table != "baseline":
-            by_place.setdefault((row.table, row.position), []).append(row)
-    for (table, position), rows in by_place.items():
-        columns = dict.fromkeys(row.column.partition(".")[0] for row in rows)
-        n_sets, first = max(row.n_rows for row in rows), min(row.first_set_index for row in rows)
-        yield f"{table} {position}: {n_sets} sets from set {first} on differ in {', '.join(columns)}"
+            columns = by_place.setdefault((row.table, row.position), {})
+            name = row.column.partition(".")[0]
+            columns[name] = max(columns.get(name, row), row, key=lambda one: one.n_rows)
+    for (table, position), columns in by_place.items():
+        alike: dict[tuple[int, int], list[str]] = {}
+        for name in sorted(columns, key=lambda name: (*TELLING, name).index(name)):
+            row = columns[name]
+            alike.setdefault((row.n_rows, row.first_set_index), []).append(row.column)
+        told = [
+            f"{', '.join(names)} in {f'{n} sets from set {first} on' if n > 1 else f'set {first}'}"
+            for (n, first), names in alike.items()
+        ]
+        yield f"{table} {position}: {'; '.join(told)}"
 
 
 def _where(onset: Onset) -> str:

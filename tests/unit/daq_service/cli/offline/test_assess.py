@@ -11,6 +11,7 @@ from support.healthy_sequences import healthy
 
 from daq_service.cli.main import cli
 from daq_service.cli.offline.fleet import fleet_in_words
+from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
 NAMES = ["tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s"]
@@ -150,7 +151,11 @@ def test_people_are_told_in_words(tables):
         ("a.csv", "a,b\nx,y", "no column of numbers; it has a, b, with 'x', 'y' in row 0"),
         ("a.csv", 'a,b\n"1,5","2,5"', "with '1,5', '2,5' in row 0: a number has a decimal point"),
         ("a.csv", "a,b\n1,5,2,5", "row 0 has 4 cells, the first line 2: leave a cell empty"),
-        ("a.csv", b"a,b\n\xff\xfe,1", "no CSV file in UTF-8"),
+        ("a.csv", "a,b\n1,2\n# paused, cold, wet\n3,4", "row 1 is a comment, '# paused,cold,wet'; comments"),
+        ("a.csv", "a,b\n1,2\n# paused, cold", "row 1 is a comment"),
+        ("a.csv", "# a,b", "empty"),
+        ("a.csv", "a;b\n12.040,9;1.000,5", "with '12.040,9', '1.000,5' in row 0: a number has"),
+        ("a.csv", b"a,b\n1,2\n20 \xb0C,1", "in UTF-8: byte 4 of line 3 is 0xb0; save it as UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
     ],
@@ -210,8 +215,11 @@ def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
 
 def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
     answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
-    assert json.loads(answer.stdout)["sensors"][0]["n"] == 120
-    assert "the last of 120 rows is baseline: nothing is judged" in answer.stderr
+    (found,) = json.loads(answer.stdout)["sensors"]
+    assert found["n"] == 120
+    assert found["nothing_judged"].startswith("the last of 120 rows is baseline: nothing is judged")
+    assert found["nothing_judged"] in answer.stderr
+    assert told(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
 
 
 @pytest.mark.parametrize(
@@ -256,6 +264,51 @@ def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separato
     (tmp_path / "other.csv").write_text(text, encoding="utf-8-sig")
     (found,) = told(tmp_path / "other.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
+
+
+@pytest.mark.parametrize(
+    ("before", "names"),
+    [
+        ('# Rig 3, April\n# no: "quotes\nx,y,z', ["x", "y", "z"]),
+        ("# s, V, V\nx,y,z", ["x", "y", "z"]),
+        ("# Rig 3\n# x,y,z", ["x", "y", "z"]),
+        ("#,y,z", ["y", "z"]),
+        ("# Rig 3", ["0", "1", "2"]),
+        ("# 1,2,3", ["0", "1", "2"]),
+    ],
+)
+def test_comments_before_the_rows_are_skipped_and_the_last_one_may_name_the_columns(
+    tmp_path, vectors, before, names
+):
+    path = tmp_path / "a.csv"
+    rows = [",".join(map(repr, row[:3])) for row in vectors.tolist()]
+    path.write_text("\n".join([before, *rows]), encoding="utf-8")
+    table = read_table(path, features=(), baseline_rows=40, baseline_where=None)
+    assert list(table.names) == names
+    assert table.vectors == pytest.approx(vectors[:, 3 - len(names) : 3])
+
+
+def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
+    path = tmp_path / "a.csv"
+    cells = [f"#{row},{a}" if row != 50 else "#50," for row, (a, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
+    (found,) = told(path, "--baseline-rows", 40)
+    assert found["refused"] is None
+    assert [one["row"] for one in found["left_out"]] == [50]
+
+
+def test_cells_are_told_as_the_file_has_them(tmp_path, vectors):
+    path = tmp_path / "a.csv"
+    rows = [f"12.040,{row:03};{a!r};{0.5 * (row < 40)}" for row, (a, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["hour;a;phase", *rows]).replace(";0.", ";0,"), encoding="utf-8")
+    assert "column 'hour' holds '12.040,000', no number" in refused(
+        path, "--baseline-rows", 40, "--features", "hour"
+    )
+    (bad,) = told(path, "--baseline-where", "phase=0.6")
+    assert bad["refused"].endswith("no row has phase=0.6; there is 0,5, 0,0")
+    for value in ("0.5", "0,5"):
+        (found,) = told(path, "--baseline-where", f"phase={value}")
+        assert found["n"] == 40
 
 
 def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):

@@ -125,6 +125,39 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
     # Set 15 was judged, and is part of the baseline now.
     assert of_b["verdict", "in_baseline"].n_rows == 1
     assert of_b["verdict", "in_baseline"].first_set_index == 15
+    assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
+
+
+@pytest.mark.parametrize(
+    ("hours", "unjudged"),
+    # C has a hole in set 22 and is struck no more.
+    [(7.5, []), (12, [("C", 23, 22)]), (12.5, [("B", 24, 24), ("C", 24, 22)])],
+)
+def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hours, unjudged):
+    done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
+    told = json.loads(done.stdout)["not_judged"]
+    assert [(one["position"], one["last_set_index"], one["last_set"]) for one in told] == unjudged
+    for one in told:
+        position, last_set = one["position"], one["last_set"]
+        assert one["told"] == (
+            f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
+            f"{one['last_set_index']} the baseline, and the last one there is set {last_set}; "
+            "give fewer hours"
+        )
+    words = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
+    assert [text for text in words.splitlines() if "nothing is judged" in text] == [
+        one["told"] for one in told
+    ]
+
+
+def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(line):
+    found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
+    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("verdict", "B")}
+    outlier = of_b["outlier"]
+    assert of_b["limit_name"].n_rows > outlier.n_rows > 1
+    (told,) = [words for words in in_words(found) if words.startswith("verdict B")]
+    first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
+    assert f"{first}; limit_name in 25 sets from set 0 on" in told
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,7 @@ def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_on
 def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
     values = volts(n=3)
     values[1] = np.nan
-    np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f")
+    np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f", header="10 MHz, 1\nRig, 3")
     assert [row["flags"] for row in told(tmp_path / "records.csv")] == [[], ["disturbed"], []]
     (tmp_path / "words.csv").write_text("a,b\nno,numbers", encoding="utf-8")
     assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
@@ -231,8 +231,9 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
         ("records.txt", b"1,2,3", "not .txt"),
         ("records.npy", b"hello", "no .npy file"),
         ("records.csv", b"", "holds no record"),
-        ("records.csv", b"\xff\xfe\x00", "UTF-8"),
+        ("records.csv", b"\xff\xfe\x00", "in UTF-8: byte 1 of line 1 is 0xff; save it as UTF-8"),
         ("records.csv", b"0.5,1.5\nso,many", "record 1: 'so,many'; a row is a record of numbers"),
+        ("records.csv", b"0.5,1.5\n# at 3, 4", "record 1: '# at 3, 4' is a comment; comments stand before"),
         ("records.csv", b"5,1\n0,1", "--volts-per-count"),
         ("records.h5", b"hello", "records.h5"),
         ("records.tdms", b"hello", "records.tdms"),
