@@ -1,14 +1,15 @@
 """How often waves that are not a transducer's own are flagged, and its own are not, at 20, 30 and 40 dB.
 
-    python benchmarks/flags_on_waves.py [--records N] [--seed S] [--walls one|any]
+    python benchmarks/flags_on_waves.py [--records N] [--seed S] [--walls one|any|alone]
         [--shape twin|cos4|gauss|sech2] [--noise-ends-hz HZ]
 
 Records are of the twin's noise-free waves at any depth from 0 to 80 %, of two sizes of patch, or of drawn
 pulses with a reflection of .38-.58 after 320-480 us; the only noise is white, or of the same rms but with
 nothing above ``--noise-ends-hz``, so that it is stronger in the wave's own band. Each is the tenth shot
 of a set of one wall, the others clean; with ``--walls any`` one of a file of 26 from as many walls, where of
-lost samples only a reflection that is earlier than any wall's can tell. A row tells flagged and not valid
-shots in percent.
+lost samples only a reflection that is earlier than any wall's can tell; with ``--walls alone`` nothing is
+beside it, and the wave's height and width are told, as by `solimon features --isw-amplitude-v --isw-fwhm-s`.
+A row tells flagged and not valid shots in percent.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from analysis.waves.features import ShotFeatures, extract_from_volts
-from analysis.waves.template import compared_with_others, learnt
+from analysis.waves.template import Template, compared_with_others, learnt
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -35,7 +36,7 @@ FWHM_S = 64.7e-6
 LOST_S = 50e-6
 SCALE_OF_90 = 1.702
 """Scale of tanh, of the wave's height, at which its top keeps .9."""
-OTHERS = {"one": 9, "any": 25}
+OTHERS = {"one": 9, "any": 25, "alone": 0}
 """Clean records that a record is compared with."""
 OF_A_SET = 5
 """Records beside the same others."""
@@ -253,7 +254,7 @@ def rates(
         return waves[random.integers(len(waves))]
 
     def scene(of: tuple[Wave, Wave, float]) -> Scene:
-        wave, silent, tof_s = of if walls == "one" else wall()
+        wave, silent, tof_s = wall() if walls == "any" else of
         return Scene(
             random=random,
             isw_s=random.uniform(35e-6, 55e-6),
@@ -269,9 +270,10 @@ def rates(
     for _ in range(0, n, OF_A_SET):
         own = wall()
         others = [_extracted(scene(own).clean()) for _ in range(OTHERS[walls])]
+        told = Template(isw_fwhm_s=_extracted(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
         for _ in range(OF_A_SET):
             seen = [*others, _extracted(case(scene(own)))]
-            shots.append(compared_with_others(seen, learnt(seen))[-1])
+            shots.append(compared_with_others(seen, learnt(seen) if others else told)[-1])
     return float(np.mean([bool(shot.flags) for shot in shots])), float(
         np.mean([not shot.valid for shot in shots])
     )

@@ -26,10 +26,10 @@ WEAKEST = 0.35
 """Of the usual amplitude: between strikes that did not really come (up to .25) and a loose contact (.5)."""
 NARROWEST, WIDEST = 0.75, 1.35
 """Of the usual width: beads worn to twice their radius have .87 of it, a disk that leans by .05 rad 1.09."""
-WIDENED, LOWERED, WIDTH_POWER = 1.085, 0.8, 1 / 6
+WIDENED, LOWERED, WIDTH_POWER = 1.06, 0.8, 1 / 6
 """A weaker strike's wave is wider by height^(-1/6) (Hertz contacts: velocity^(-1/5), its height by
 velocity^(6/5)). One that is lower than the second, and wider than that by the first, was bent on its way:
-tanh at .9 of the height leaves .72 of it and 1.10 times that width, a disk that leans by .05 rad has 1.06."""
+tanh to .8 of the height makes it 1.07 times that wide; a disk that leans by .05 rad has .98, at .54."""
 LIKE_ITS_OWN = 0.12
 """A wave without a reflection may tell of a hole only where its width is the usual one within this part."""
 STRONGEST_REFLECTION = 1.4

@@ -7,6 +7,7 @@ import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from analysis.waves.template import Template, compared
@@ -89,3 +90,15 @@ def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
         holes += "no_psw" in compared(benchmark._extracted(volts), own).flags
     # 12 % of the width to both sides of 120 us, .35 of the height and more: one in ten.
     assert holes <= 30
+
+
+@pytest.mark.parametrize("snr_db", [20.0, 40.0])
+def test_a_soft_limit_is_told_of_a_record_alone_by_its_own_height_and_width(benchmark, snr_db):
+    def bent_to_70(scene):
+        """Limit softly, as tanh: the top falls to .7 of the wave."""
+        return scene.noisy(0.85 * scene.height * np.tanh(scene.wave(scene.isw_s) / 0.85))
+
+    flagged, _ = benchmark.rates(bent_to_70, "cos4", snr_db, N_RECORDS, SEED, walls="alone")
+    assert flagged >= 0.9
+    clean, _ = benchmark.rates(benchmark.Scene.clean, "cos4", snr_db, N_RECORDS, SEED, walls="alone")
+    assert clean == 0.0
