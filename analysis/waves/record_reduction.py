@@ -301,7 +301,7 @@ def block_noise(blocks_v: FloatArray, white_v: float) -> float:
     """Noise of a block mean: what white noise gives it, or `fine_noise` where that is more than by chance."""
     differences = _third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
-    # Counting costs a fifth of finding the median.
+    # Counting costs less than finding the median.
     if 2 * np.count_nonzero(differences > limit_v) < differences.size:
         return white_v
     middle_v = median(differences)
