@@ -8,10 +8,13 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded
+from hardware_drivers.errors import ConfigurationError
 
-LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s"})
-"""Not what is measured: how often, and how long an answer is waited for."""
+LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s", "suspect_after_s"})
+"""Not what is measured: how often, how long an answer is waited for, and how it is rated."""
 WATCH_KEYS = LOG_KEYS | {
+    "minimum_current_a",
+    "deviation_after_s",
     "interlock_current_a",
     "interlock_readings",
     "interlock_lost_after_s",
@@ -45,7 +48,11 @@ class DriveParameters(ABC):
     """Measured current at which the interlock switches off (a hole, a short circuit). Below
     `current_limit_a`, or it is never reached while the supply keeps its limit."""
     interlock_readings: Annotated[int, Ge(1), Le(1000)] = 3
-    """So many readings in a row at or above `interlock_current_a` trip it."""
+    """So many consecutive readings at or above `interlock_current_a` trip it."""
+    minimum_current_a: Annotated[float, Ge(0.0), Le(100.0)] = 0.002
+    """Measured current below which an energized cell counts as open (a lead is off, the bath is dry)."""
+    deviation_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 120.0
+    """So long voltage or current may deviate from the command before the alarm `supply_deviation`."""
     off_at_end: bool = True
     """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
     leaves it as it is for `unwatched_s`, as does `false` at the end: the corrosion goes on, and only a
@@ -53,12 +60,31 @@ class DriveParameters(ABC):
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
     unwatched_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
-    """Without a recorder for so long, the output is switched off and stays off until a person's order."""
+    """Without a recorder for so long, the output is switched off and stays off until a person's command. So
+    long, at most, a command outlives the process of the drive; it never outlives a boot of the computer."""
 
     @property
     @abstractmethod
     def longest_order_s(self) -> float:
         """Longest time that an order takes, and switching off again where it fails."""
+
+    def require_within_caps(self, voltage_v: float, current_limit_a: float) -> None:
+        """Check a command before anything is sent.
+
+        Raises
+        ------
+        ConfigurationError
+            A value is not above 0, or is above its cap.
+        """
+        for name, value, cap_name, cap in (
+            ("voltage_v", voltage_v, "voltage_cap_v", self.voltage_cap_v),
+            ("current_limit_a", current_limit_a, "current_cap_a", self.current_cap_a),
+        ):
+            if not 0.0 < value <= cap:
+                raise ConfigurationError(
+                    f"{name} is {value:g}; it must be above 0 and at most {cap_name} = {cap:g}; "
+                    "nothing was sent"
+                )
 
     def __post_init__(self) -> None:
         for name, cap in (
@@ -97,6 +123,8 @@ class LogParameters:
     """Seconds between two readings."""
     read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
     """Longest time one reading may take."""
+    suspect_after_s: Annotated[float, Gt(0.0), Le(604_800.0)] = 3600.0
+    """Readings that repeat the same temperature and humidity for so long are suspect."""
 
 
 @bounded

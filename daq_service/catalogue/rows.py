@@ -26,7 +26,7 @@ Suppression = Literal["shelved", "out_of_service"]
 BaselineState = Literal["collecting", "proposed", "approved", "retired"]
 CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
-ReadingQuality = Literal["good", "stale", "lost", "absent"]
+ReadingQuality = Literal["good", "suspect", "stale", "lost", "absent"]
 
 
 class Row:

@@ -29,6 +29,7 @@ from daq_service.errors import (
 )
 from daq_service.processes.child import (
     leave_when_pipe_closes,
+    log_in_thread,
     log_to,
     start_detached,
     stop_on_signals,
@@ -51,6 +52,7 @@ from daq_service.settings.web import WebSettings
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+    from daq_service.corrosion_drive.remote import RemoteDrive
     from hardware_drivers.drive_parameters import DriveParameters
     from hardware_drivers.instruments import Clock, PowerSupply, Rig
 
@@ -93,7 +95,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         refuse_unusable(settings.notifications)
 
     log_to(folder / "logs" / "supervisor.log")
-    with stop_on_signals() as stop, Telling() as telling:
+    with stop_on_signals() as stop, Telling() as telling, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
             telling.hear(child, message)
@@ -115,7 +117,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
             on_message=on_message,
-            without_recorder=guarded_drive(settings, folder),
+            without_recorder=stack.enter_context(guarded_drive(settings, folder)),
         )
         code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
@@ -166,7 +168,6 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
-    from daq_service.corrosion_drive.remote import RemoteDrive
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
@@ -181,9 +182,7 @@ def record_alone(
         try:
             drive = None
             if settings.rig.driven is not None:
-                drive = left.enter_context(
-                    RemoteDrive(settings.rig.driven, folder, partial(start_drive, settings, folder))
-                )
+                drive = left.enter_context(remote_drive(settings, settings.rig.driven, folder))
             finished = record(
                 settings,
                 folder,
@@ -234,11 +233,34 @@ def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     return start_detached(command, settings.model_dump_json().encode())
 
 
-def guarded_drive(settings: Settings, folder: Path) -> Callable[[], None]:
-    """Tell what to call while no recorder is there to look after the process of the drive."""
+def supply_port(settings: Settings) -> str:
+    """Name the supply's port, or all its parameters where its kind has no such key."""
+    from daq_service.settings.instruments import configured
+
+    (supply,) = (item.parameters for item in configured(settings) if "supply" in item.serves)
+    return str(getattr(getattr(supply, "line", supply), "port", supply))
+
+
+def remote_drive(
+    settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
+) -> RemoteDrive:
+    """Return the near side of the process that drives this configuration's supply."""
+    from daq_service.corrosion_drive.remote import RemoteDrive
+
+    start = partial(start_drive, settings, folder)
+    return RemoteDrive(parameters, folder, start, supply_port=supply_port(settings), watches=watches)
+
+
+@contextmanager
+def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
+    """Give what to call while no recorder is there to supervise the process of the drive."""
     from daq_service.corrosion_drive.guard import DriveGuard
 
-    return DriveGuard(folder, partial(start_drive, settings, folder)).look
+    if settings.rig.driven is None:
+        yield lambda: None
+        return
+    with remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
+        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).look
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
@@ -247,10 +269,14 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     from daq_service.corrosion_drive.own_process import own_supply
     from daq_service.rig.open_rig import open_supply
 
-    def open_owned(parameters: DriveParameters) -> AbstractContextManager[PowerSupply]:
+    def open_owned() -> AbstractContextManager[PowerSupply]:
         if not for_recorder:
             notify("READY=1")  # the lock is held: no recorder starts another process
         return open_supply(settings, clock=WallClock())
+
+    def beat() -> None:
+        if not for_recorder:
+            notify("WATCHDOG=1")
 
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"
@@ -261,15 +287,16 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     parameters = settings.rig.driven
     if parameters is None:
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
-    log_to(folder / "logs" / "drive.log")
-    with stop_on_signals() as stop:
+    with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
             left = own_supply(
                 parameters,
                 folder,
                 open_owned,
                 stop,
+                supply_port=supply_port(settings),
                 stays=not for_recorder,
+                beat=beat,
             )
         except SolimonError as error:
             log.error("%s", error)

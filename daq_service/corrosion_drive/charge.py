@@ -51,32 +51,43 @@ def elapsed_s(before: Stamp, after: Stamp) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """A command `on` in force: the voltage and current limit that were set; None: as configured."""
+
+    voltage_v: float | None = None
+    current_limit_a: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DriveState:
-    """What a restart carries on.
+    """State that a restart restores.
 
     Attributes
     ----------
+    command
+        The command `on` in force; None: the output must be off.
+    must_switch_off
+        The output has not been read as off since it had to be switched off.
     tripped
-        Why the interlock is open; None: it is closed.
-    unwatched
-        It is open because nobody watched.
-    output_on
-        How the output was left; None: unknown, what is found counts as intended.
+        Why the interlock has tripped; None: it has not.
+    latched
+        Alarm kinds that last until the next command.
     booked_utc_ns
         Up to when charge and unknown time are booked; None: nothing was measured yet.
     """
 
     charge: Charge = Charge()
+    command: Command | None = None
+    must_switch_off: bool = False
     tripped: str | None = None
-    unwatched: bool = False
-    output_on: bool | None = None
+    latched: frozenset[str] = frozenset()
     booked_utc_ns: int | None = None
 
 
 def restored_state(
     row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
-    """State from the newest row of ``environment``, which was written at ``written_utc_ns``."""
+    """Return the state from the newest row of ``environment``, which was written at ``written_utc_ns``."""
     if row is None or row.supply_state == "absent":
         return DriveState()
     charge = Charge(coulomb=row.charge_coulomb or 0.0, unknown_s=row.unknown_s or 0.0)
@@ -89,6 +100,6 @@ def restored_state(
     return DriveState(
         charge=charge,
         tripped=row.supply_tripped,
-        output_on={"on": True, "off": False}.get(row.supply_state),
+        command=Command() if row.supply_state == "on" and row.supply_tripped is None else None,
         booked_utc_ns=booked_utc_ns,
     )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 
-from daq_service.catalogue.rows import EnvironmentRow
+from daq_service.catalogue.rows import EnvironmentRow, ReadingQuality
 from daq_service.corrosion_drive.reading_log import ReadingLog
 from hardware_drivers.drive_parameters import LogParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import ClimateProbe, Clock
 from hardware_drivers.measurement import ClimateReading
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
@@ -22,6 +23,7 @@ class ClimateLog:
         self._probe, self._clock, self._parameters = probe, clock, parameters
         self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
         self._air: ClimateReading | None = None
+        self._changed_ns = clock.mono_ns()
 
     def tick(self) -> None:
         """Read if it is due; an instrument's error is noted and never raised."""
@@ -30,20 +32,45 @@ class ClimateLog:
             return
         self._log.attempted(now_ns)
         try:
-            self._air = self._probe.read(self._parameters.read_timeout_s)
+            air = self._probe.read(self._parameters.read_timeout_s)
         except InstrumentError as error:
             log.warning("climate: %s", error)
             self._log.trouble = str(error)
         else:
-            self._log.succeeded(self._clock.mono_ns())
+            now_ns = self._clock.mono_ns()
+            if self._air is None or _values(air) != _values(self._air):
+                self._changed_ns = now_ns
+            self._air = air
+            self._log.succeeded(now_ns)
+
+    def quality(self) -> ReadingQuality:
+        """Rate the newest reading; suspect: it has repeated the same values for long."""
+        now_ns = self._clock.mono_ns()
+        quality = self._log.quality(now_ns)
+        unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
+        return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
+
+    def not_responding(self) -> str:
+        """Return the alarm's message; empty while the probe responds."""
+        if self.quality() != "lost":
+            return ""
+        silent_s = self._log.silent_s(self._clock.mono_ns())
+        return (
+            f"Climate probe not responding. No reading for {silent_s:.0f} s: {self._log.trouble}. "
+            "Check its cable and port."
+        )
 
     def added_to(self, row: EnvironmentRow) -> EnvironmentRow:
         """Add the newest reading, its quality and its age to a row."""
         now_ns, air = self._clock.mono_ns(), self._air
         return replace(
             row,
-            climate_quality=self._log.quality(now_ns),
+            climate_quality=self.quality(),
             climate_age_s=self._log.age_s(now_ns),
             temperature_c=None if air is None else air.temperature_c,
             relative_humidity=None if air is None else air.relative_humidity,
         )
+
+
+def _values(air: ClimateReading) -> tuple[float, float]:
+    return air.temperature_c, air.relative_humidity

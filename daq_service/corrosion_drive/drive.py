@@ -1,11 +1,11 @@
-"""The corrosion drive while a test runs: what was measured, what charge has flowed, and the interlock.
+"""The corrosion drive while a test runs: readings, charge, and the interlock.
 
 Its owner calls `tick` all the time: the process of the drive (`own_process`), or a recorder in a test. One
 call asks the supply once, so it lasts no longer than its timeout; nothing here waits or runs by itself.
 
-Only a person's order switches the output on. The interlock switches it off and stays tripped until the
-next such order, also over a restart. It needs the line: while that is lost it can only say so, and it
-switches off as soon as the supply answers again.
+Only a person's command switches the output on. A command `off` and a trip of the interlock are latched until
+the next command `on`, also over a restart: an output that is found on without a command is switched off.
+While the line is lost a switch-off is pending; it follows as soon as the supply answers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
-from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
+from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
@@ -26,29 +26,40 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
+SWITCH_OFF_EVERY_S = 5.0
+"""A pending switch-off is tried at least so often, however seldom the supply is read."""
+SWITCH_OFF_PENDING = "Supply switch-off pending, output may be ON."
+SWITCH_OFF_BY_HAND = "Switch the supply off by hand immediately."
+HOW_TO_SWITCH_ON = "Find the cause, then switch on with `solimon supply --on`."
+
+AlarmKind = Literal[
+    "supply_lost",
+    "supply_off_unexpectedly",
+    "supply_on_unexpectedly",
+    "supply_switch_off_pending",
+    "supply_limit",
+    "supply_deviation",
+    "supply_above_cap",
+    "interlock_tripped",
+    "supply_unwatched",
+]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveCondition:
-    """What the drive says of one possible alarm."""
+    """Condition of one possible alarm."""
 
-    name: Literal[
-        "supply_lost",
-        "supply_off_unexpectedly",
-        "supply_limit",
-        "interlock_tripped",
-        "supply_unwatched",
-    ]
+    name: AlarmKind
     active: bool
     message: str
 
 
-@runtime_checkable
-class ReadsBack(Protocol):
-    """A supply that tells what is set on it."""
+@dataclass(slots=True)
+class Reply:
+    """Answer to a command, as soon as there is one."""
 
-    def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        """Set voltage, current limit, output and tripped protections."""
-        ...
+    done: bool = False
+    error: str = ""
 
 
 @runtime_checkable
@@ -87,12 +98,22 @@ class SupplyDrive(Protocol):
 
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
-    ) -> None:
-        """Switch the output on at a person's order, and close the interlock."""
+    ) -> Reply:
+        """Switch the output on at a person's command, and reset the interlock."""
         ...
 
-    def switch_off(self, author: str) -> None:
-        """Switch the output off at a person's order; the interlock stays as it is."""
+    def switch_off(self, author: str) -> Reply:
+        """Switch the output off at a person's command; the interlock stays as it is."""
+        ...
+
+    def switch_off_at_end(self) -> None:
+        """Switch the output off at the end of a test, within the time that a supervisor leaves for it.
+
+        Raises
+        ------
+        InstrumentError
+            It may still be on.
+        """
         ...
 
     def trip(self, reason: str) -> bool:
@@ -119,36 +140,34 @@ class ElectrochemicalDrive:
         now_ns = clock.mono_ns()
         self._supply_log = ReadingLog(parameters.log_interval_s, now_ns)
         self._charge = state.charge
-        self._tripped, self._unwatched = state.tripped, state.unwatched
-        self._intended_on = state.output_on
-        self._ordered_ns = now_ns
+        self._tripped, self._latched = state.tripped, state.latched
+        self._command, self._must_switch_off = state.command, state.must_switch_off
+        self._commanded_ns = now_ns
         self._booked_utc_ns = state.booked_utc_ns
         self._newest: SupplyReading | None = None
         self._window: list[SupplyReading] = []
-        self._limit_a = parameters.current_limit_a
         self._high_readings = 0
-        self._must_switch_off = False
-        self._must_read_back, self._read_back_next = True, False
-        self._found: Mapping[str, float | str] = {}
+        self._deviates_since_ns: int | None = None
 
     @property
     def tripped(self) -> str | None:
-        """Why the interlock is open; None: it is closed."""
+        """Why the interlock has tripped; None: it has not."""
         return self._tripped
 
     @property
-    def owes_switching_off(self) -> bool:
-        """The output could not be switched off yet; each further reading tries again."""
+    def must_switch_off(self) -> bool:
+        """The output has not been read as off since it had to be switched off; each tick tries again."""
         return self._must_switch_off
 
     @property
     def state(self) -> DriveState:
-        """What whoever comes after this process must know."""
+        """State for the process after this one."""
         return DriveState(
             charge=self._charge,
+            command=self._command,
+            must_switch_off=self._must_switch_off,
             tripped=self._tripped,
-            unwatched=self._unwatched,
-            output_on=self._intended_on,
+            latched=self._latched,
             booked_utc_ns=self._booked_utc_ns,
         )
 
@@ -156,11 +175,6 @@ class ElectrochemicalDrive:
     def window_length(self) -> int:
         """Number of readings in the means."""
         return len(self._window)
-
-    @property
-    def found(self) -> Mapping[str, float | str]:
-        """What was set on the supply at the start, or after it was lost: reported, never changed."""
-        return self._found
 
     # Called by its owner all the time ------------------------------------------------------------
 
@@ -173,45 +187,85 @@ class ElectrochemicalDrive:
                 self._attend(self._supply, now_ns)
             except InstrumentError as error:
                 self._note_failure(error, now_ns)
+            if self._must_switch_off:
+                self._supply_log.look_again_within(now_ns, SWITCH_OFF_EVERY_S)
 
     def _attend(self, supply: PowerSupply, now_ns: int) -> None:
-        """Switch off if that is still owed; else read back once after every loss; else read."""
+        """Switch off if that is pending; else read."""
         if self._must_switch_off:
             supply.make_safe()
             self._must_switch_off = False
             self._supply_log.look_again_at_once(now_ns)
-        elif self._read_back_next and isinstance(supply, ReadsBack):
-            self._read_back_next = False  # whatever comes of it, the next call measures
-            self._found = supply.read_back(self._parameters.read_timeout_s)
-            self._must_read_back = False
-            self._limit_a = float(self._found.get("set_current_limit_a", self._limit_a))
-            log.info("the supply was found like this: %s", dict(self._found))
         else:
             reading = supply.read(self._parameters.read_timeout_s)
             self._supply_log.succeeded(self._clock.mono_ns())
             self._take(reading)
-            if self._must_read_back and isinstance(supply, ReadsBack):
-                self._read_back_next = True
-                self._supply_log.look_again_at_once(now_ns)
 
     def _take(self, reading: SupplyReading) -> None:
         self._book(reading)
         self._window.append(reading)
         self._newest = reading
-        if self._tripped is not None and reading.output_on:
-            log.warning("the output is on although the interlock tripped: %s", self._tripped)
+        parameters = self._parameters
+        if reading.output_on and self._command is None:
+            log.error("the output is on without a command: %g V, %g A", reading.voltage_v, reading.current_a)
+            self._latched |= {"supply_on_unexpectedly"}
             self._switch_off_now()
             return
-        if self._intended_on is None or (reading.output_on and not self._intended_on):
-            # Found like this at the start, or switched on at the front panel: a person wants it.
-            self._intended_on = reading.output_on
-        high = reading.current_a >= self._parameters.interlock_current_a
+        if self._command is not None and not reading.output_on and self._follows_command(reading):
+            # An output that returns by itself later is not what was commanded.
+            self._command = None
+            self._latched |= {"supply_off_unexpectedly"}
+        for measured, cap, tolerance, unit in (
+            (reading.voltage_v, parameters.voltage_cap_v, parameters.readback_tolerance_v, "V"),
+            (reading.current_a, parameters.current_cap_a, parameters.readback_tolerance_a, "A"),
+        ):
+            if reading.output_on and measured > cap + tolerance:
+                reason = f"{measured:.3g} {unit} is above the cap of {cap:g} {unit}"
+                self.trip(reason, kind="supply_above_cap")
+                return
+        high = reading.output_on and reading.current_a >= parameters.interlock_current_a
         self._high_readings = self._high_readings + 1 if high else 0
-        if self._high_readings >= self._parameters.interlock_readings:
+        if self._high_readings >= parameters.interlock_readings:
             self.trip(
-                f"{reading.current_a:.3g} A in {self._high_readings} readings in a row, at or above "
-                f"interlock_current_a = {self._parameters.interlock_current_a:g} A"
+                f"{reading.current_a:.3g} A in {self._high_readings} consecutive readings, at or above "
+                f"interlock_current_a = {parameters.interlock_current_a:g} A"
             )
+            return
+        deviates = self._follows_command(reading) and self._deviates(reading)
+        self._deviates_since_ns = (self._deviates_since_ns or reading.stamp.mono_ns) if deviates else None
+
+    def _follows_command(self, reading: SupplyReading) -> bool:
+        """Whether a reading is newer than the last command: an older one does not show how that was done."""
+        return reading.stamp.mono_ns >= self._commanded_ns
+
+    def _set(self) -> tuple[float, float]:
+        """Commanded voltage in V and current limit in A."""
+        command, parameters = self._command or Command(), self._parameters
+        return (
+            parameters.voltage_v if command.voltage_v is None else command.voltage_v,
+            parameters.current_limit_a if command.current_limit_a is None else command.current_limit_a,
+        )
+
+    def _is_limited(self, reading: SupplyReading) -> bool:
+        limit_a = self._set()[1]
+        return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
+
+    def _deviates(self, reading: SupplyReading) -> bool:
+        """Whether voltage or current is away from the command; in current limit only a high voltage is."""
+        voltage_v, limit_a = self._set()
+        parameters = self._parameters
+        above_v = reading.voltage_v - voltage_v
+        return (
+            reading.output_on
+            and self._command is not None
+            and (
+                above_v > parameters.readback_tolerance_v
+                or (above_v < -parameters.readback_tolerance_v and not self._is_limited(reading))
+                or not parameters.minimum_current_a
+                <= reading.current_a
+                <= limit_a + parameters.readback_tolerance_a
+            )
+        )
 
     def _book(self, reading: SupplyReading) -> None:
         if self._newest is not None:
@@ -232,23 +286,22 @@ class ElectrochemicalDrive:
         if not self._supply_log.trouble:
             log.warning("supply: %s", error)
         self._supply_log.trouble = str(error)
-        self._must_read_back = True
         silent_s = self._supply_log.silent_s(now_ns)
-        if self._intended_on is not False and silent_s >= self._parameters.interlock_lost_after_s:
+        if self._command is not None and silent_s >= self._parameters.interlock_lost_after_s:
             # Not reachable now: it is switched off as soon as it answers.
             self._latch(f"no answer from the supply for {silent_s:.0f} s: {error}")
 
-    # Orders --------------------------------------------------------------------------------------
+    # Commands ------------------------------------------------------------------------------------
 
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
-    ) -> None:
-        """Switch the output on at a person's order, and close the interlock.
+    ) -> Reply:
+        """Switch the output on at a person's command, and reset the interlock.
 
         Parameters
         ----------
         author
-            Who ordered it.
+            Who commands it.
         voltage_v, current_limit_a
             As configured where not given.
 
@@ -257,56 +310,75 @@ class ElectrochemicalDrive:
         ValueError
             No author: nothing else may switch it on.
         InstrumentError
-            The supply did not do it; the interlock stays as it was.
+            The supply did not do it. Above a cap nothing has changed; else the output is off, or its
+            switch-off is pending.
         """
         if not author.strip():
-            raise ValueError("an order to energise needs its author")
-        supply, parameters = self._supply, self._parameters
+            raise ValueError("a command to switch on needs its author")
+        parameters = self._parameters
         voltage_v = parameters.voltage_v if voltage_v is None else voltage_v
         limit_a = parameters.current_limit_a if current_limit_a is None else current_limit_a
+        parameters.require_within_caps(voltage_v, limit_a)
         now_ns = self._clock.mono_ns()
         self._supply_log.look_again_at_once(now_ns)
         try:
-            supply.energise(voltage_v, limit_a)
-        except InstrumentError:
-            self._intended_on, self._must_read_back = None, True  # what it left is read, and taken as it is
+            self._supply.energise(voltage_v, limit_a)
+        except InstrumentError as error:
+            self.end_command()
+            if not self._switch_off_now():
+                raise type(error)(f"{error}; switch-off pending, the output may be ON") from error
             raise
         log.warning("output switched on by %s: %g V, at most %g A", author, voltage_v, limit_a)
-        self._tripped, self._unwatched, self._must_switch_off = None, False, False
-        self._intended_on, self._limit_a, self._high_readings = True, limit_a, 0
-        self._ordered_ns = self._clock.mono_ns()
+        self._tripped, self._latched, self._must_switch_off = None, frozenset(), False
+        self._command, self._high_readings = Command(voltage_v=voltage_v, current_limit_a=limit_a), 0
+        self._commanded_ns, self._deviates_since_ns = self._clock.mono_ns(), None
+        return Reply(done=True)
 
-    def switch_off(self, author: str) -> None:
-        """Switch the output off at a person's order; the interlock stays as it is.
+    def switch_off(self, author: str) -> Reply:
+        """Switch the output off at a person's command; the interlock stays as it is.
 
         Raises
         ------
         ValueError
             No author.
         InstrumentError
-            What the output does is unknown.
+            What the output does is unknown; its switch-off is pending.
         """
         if not author.strip():
-            raise ValueError("an order to switch off needs its author")
+            raise ValueError("a command to switch off needs its author")
         self._supply_log.look_again_at_once(self._clock.mono_ns())
+        self.end_command()
+        self._latched -= {"supply_on_unexpectedly", "supply_off_unexpectedly"}
+        self._must_switch_off = True
         self._supply.make_safe()
+        self._must_switch_off = False
         log.warning("output switched off by %s", author)
-        self._intended_on, self._must_switch_off = False, False
+        return Reply(done=True)
 
-    def trip(self, reason: str, *, unwatched: bool = False) -> bool:
-        """Open the interlock: switch off now, or as soon as the supply answers, and stay off.
+    def switch_off_at_end(self) -> None:
+        """Switch the output off at the end of a test; raises an InstrumentError where that failed."""
+        self.switch_off("the end of the test")
+
+    def end_command(self) -> None:
+        """End the command `on`: the output is switched off where it is found on."""
+        if self._command is not None:
+            self._supply_log.look_again_at_once(self._clock.mono_ns())
+        self._command, self._high_readings = None, 0
+
+    def trip(self, reason: str, *, kind: AlarmKind | None = None) -> bool:
+        """Trip the interlock: switch off now, or as soon as the supply answers, and stay off.
 
         Parameters
         ----------
-        unwatched
-            Because nobody watched.
+        kind
+            A further alarm that lasts until the next command `on`.
 
         Returns
         -------
         bool
-            True if the output was read back as off; False if that is still owed.
+            True if the output was read back as off; False if that is pending.
         """
-        self._unwatched = self._unwatched or unwatched
+        self._latched |= {kind} if kind is not None else set()
         self._latch(reason)
         return self._switch_off_now()
 
@@ -314,7 +386,8 @@ class ElectrochemicalDrive:
         if self._tripped is None:
             self._tripped = reason
             log.error("interlock tripped: %s", reason)
-        self._intended_on, self._must_switch_off, self._high_readings = False, True, 0
+        self.end_command()
+        self._must_switch_off = True
 
     def _switch_off_now(self) -> bool:
         now_ns = self._clock.mono_ns()
@@ -328,7 +401,7 @@ class ElectrochemicalDrive:
         self._supply_log.look_again_at_once(now_ns)
         return True
 
-    # What it says --------------------------------------------------------------------------------
+    # Readings and conditions ----------------------------------------------------------------------
 
     def output(self) -> SupplyState:
         """Output as last read; unknown as soon as the newest reading is not good."""
@@ -337,59 +410,57 @@ class ElectrochemicalDrive:
         return "on" if self._newest.output_on else "off"
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Possible alarms of the supply, each with whether it stands."""
-        now_ns = self._clock.mono_ns()
-        quality, reading = self._supply_log.quality(now_ns), self._newest
-        # A reading from before the order says nothing of how it was carried out.
-        told = reading is not None and reading.stamp.mono_ns >= self._ordered_ns
-        off = bool(self._intended_on) and reading is not None and told and not reading.output_on
-        tolerance_a = self._parameters.readback_tolerance_a
-        limited = (
-            reading is not None and reading.output_on and reading.current_a >= self._limit_a - tolerance_a
-        )
-        causes, unknown = "", ""
+        """Return each possible alarm of the supply with whether its condition is present."""
+        now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
+        voltage_v, limit_a = self._set()
+        measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
+        cause = ""
         if isinstance(self._supply, TellsProtections):
             if tripped := self._supply.tripped_protections:
-                causes = f" (tripped: {', '.join(tripped)})"
-            if untold := self._supply.protection_unknown:
-                unknown = f" (a protection may have tripped: {untold})"
-        owed = "; the output could not be switched off yet" if self._must_switch_off else ""
-        silent_s = self._supply_log.silent_s(now_ns)
-        return (
-            DriveCondition(
-                name="supply_lost",
-                active=quality == "lost",
-                message=f"no reading for {silent_s:.0f} s, what the output does is unknown: "
-                f"{self._supply_log.trouble}"
-                if quality == "lost"
-                else "the supply answers",
+                cause = f" (tripped: {', '.join(tripped)})"
+            elif unknown := self._supply.protection_unknown:
+                cause = f" (a protection may have tripped: {unknown})"
+        deviates_s = 0.0
+        if command is not None and reading is not None and self._deviates_since_ns is not None:
+            deviates_s = (reading.stamp.mono_ns - self._deviates_since_ns) / NS_PER_S
+        silent_s, trouble = self._supply_log.silent_s(now_ns), self._supply_log.trouble
+        expected_a = f"{self._parameters.minimum_current_a:g} to {limit_a:g} A"
+        tripped_at = self._tripped or ""
+        present: Mapping[AlarmKind, tuple[bool, str]] = {
+            "supply_lost": (
+                self._supply_log.quality(now_ns) == "lost",
+                f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {trouble}",
             ),
-            DriveCondition(
-                name="supply_off_unexpectedly",
-                active=off,
-                message="the output is off and nobody ordered that"
-                + (causes or unknown)
-                + "; find the cause, then order it on"
-                if off
-                else "the output is as ordered",
+            "supply_off_unexpectedly": (
+                "supply_off_unexpectedly" in self._latched,
+                f"Supply output off without a command{cause}. {HOW_TO_SWITCH_ON}",
             ),
-            DriveCondition(
-                name="supply_limit",
-                active=limited,
-                message=f"the current is at its limit of {self._limit_a:g} A: the voltage is no longer held"
-                if limited
-                else "the current is below its limit",
+            "supply_on_unexpectedly": (
+                "supply_on_unexpectedly" in self._latched,
+                f"Supply output found ON without a command, switched off. {HOW_TO_SWITCH_ON}",
             ),
-            DriveCondition(
-                name="interlock_tripped",
-                active=self._tripped is not None,
-                message=f"{self._tripped}{owed}" if self._tripped is not None else "the interlock is closed",
+            "supply_switch_off_pending": (
+                self._must_switch_off,
+                f"{SWITCH_OFF_PENDING} {trouble}. {SWITCH_OFF_BY_HAND}",
             ),
-            DriveCondition(
-                name="supply_unwatched",
-                active=self._unwatched,
-                message=f"{self._tripped}{owed}" if self._unwatched else "the supply is watched",
+            "supply_limit": (
+                reading is not None and self._is_limited(reading),
+                f"Supply in current limit (CC mode), voltage below setpoint. {measured}; {limit_a:g} A set.",
             ),
+            "supply_deviation": (
+                deviates_s >= self._parameters.deviation_after_s,
+                f"Supply {measured}; {voltage_v:g} V set, {expected_a}. Check leads, bath and setpoint.",
+            ),
+            "supply_above_cap": (
+                "supply_above_cap" in self._latched,
+                f"Supply above its cap, output switched off. {tripped_at}. {HOW_TO_SWITCH_ON}",
+            ),
+            "interlock_tripped": (self._tripped is not None, tripped_at),
+            "supply_unwatched": ("supply_unwatched" in self._latched, tripped_at),
+        }
+        return tuple(
+            DriveCondition(name=name, active=active, message=message if active else "returned to normal")
+            for name, (active, message) in present.items()
         )
 
     def begin_window(self, n_told: int | None = None) -> None:

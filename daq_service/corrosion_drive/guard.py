@@ -1,18 +1,20 @@
-"""While a test's recorder is gone for good: a supply that was left on keeps a process that owns it.
+"""While a test's recorder is gone for good: the supply keeps a process that supervises it.
 
-The drive's process switches an unwatched supply off. If it is killed beforehand and no recorder is there to
-start another one, the supervisor that serves the test on does so.
+The drive's process switches an unwatched supply off. If it is killed or hangs before that and no recorder is
+there to replace it, the supervisor that serves the test on does so; and it looks from time to time whether an
+output that was left off has come on.
 """
 
 from __future__ import annotations
 
 import logging
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from daq_service.corrosion_drive.kept import look_at_drive
+from daq_service.corrosion_drive.kept import read_kept
+from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 
 log = logging.getLogger(__name__)
 
@@ -21,33 +23,42 @@ LOOK_EVERY_S = 5.0
 
 
 class DriveGuard:
-    """Starts the process of the drive again where the last one was killed and did not leave the output off.
+    """Keeps a process of the drive where the output may be on, and starts one at intervals where it was off.
 
     Parameters
     ----------
-    start
-        Starts a process that outlives this one.
+    remote
+        Does not watch: for the process no recorder is there.
+    check_every_s
+        Longest time without a look at an output that was read as off.
     """
 
     def __init__(
         self,
         folder: Path,
-        start: Callable[[], subprocess.Popen[bytes]],
+        remote: RemoteDrive,
         *,
+        check_every_s: float,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._folder, self._start, self._mono_s = folder, start, mono_s
-        self._next_s = mono_s()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._folder, self._remote, self._mono_s = folder, remote, mono_s
+        self._check_every_s = check_every_s
+        self._next_s = self._checked_s = mono_s()
 
     def look(self) -> None:
-        """Look, at most every few seconds."""
+        """Start, meet or replace the process, if that is due."""
         now_s = self._mono_s()
-        if now_s < self._next_s or (self._process is not None and self._process.poll() is None):
+        if is_owned(self._folder, DRIVE_LOCK) is not False:
+            self._checked_s = now_s
+            self._remote.tick()
             return
-        self._next_s, self._process = now_s + LOOK_EVERY_S, None
-        drive = look_at_drive(self._folder)
-        if drive is None or drive.process is not False or drive.last == "off":
+        if now_s < self._next_s:
             return
-        log.error("the process of the drive is gone, and the output was %s: another one starts", drive.last)
-        self._process = self._start()
+        self._next_s, kept = now_s + LOOK_EVERY_S, read_kept(self._folder)
+        may_be_on = kept is not None and (
+            kept.state.command is not None or kept.state.must_switch_off or kept.output != "off"
+        )
+        if may_be_on or now_s - self._checked_s >= self._check_every_s:
+            log.info("no process of the drive runs: one is started to look at the output")
+            self._checked_s = now_s
+            self._remote.tick()

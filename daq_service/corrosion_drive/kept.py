@@ -1,7 +1,7 @@
-"""What the drive's process keeps in the data folder: for the one that comes after it, and for whoever looks.
+"""State of the drive in the data folder: for the process after this one, and for status, page and API.
 
-``drive.json`` is durable: charge, interlock, and what the output did when it was written. ``drive.lock`` is
-held while a process owns the supply's port, and its text tells a recorder of this user how to reach it.
+``drive.json`` is durable: charge, interlock, and the newest reading. ``drive.lock`` is held while a process
+owns the supply's port; its text holds the address at which a recorder of this user reaches that process.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, elapsed_ns
-from daq_service.corrosion_drive.charge import Charge, DriveState
+from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, hold_lock, is_owned, lock_text
-from daq_service.shared_file import read_hint, write_durably
+from daq_service.shared_file import write_durably
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -32,13 +32,15 @@ class Kept:
     Attributes
     ----------
     output, age_s
-        What the output did, and how old that reading was when the file was written; None: there was none.
+        Newest reading, and its age when the file was written; None: there was none.
     utc_ns, boot_ns, boot_id
         When it was written: UTC, and time of the boot.
     heard_boot_ns
-        When a recorder was heard last, in that boot.
+        Time of that boot at which a recorder was last heard.
     good_for_s
-        A reading that is older says nothing of now.
+        Longest age of a reading that is still good.
+    writer
+        Name of the process that wrote it.
     """
 
     state: DriveState
@@ -49,18 +51,25 @@ class Kept:
     boot_id: str | None
     heard_boot_ns: int
     good_for_s: float = 0.0
+    writer: str = ""
 
-    def written_before_s(self) -> float:
-        """Time since it was written; by UTC where that was in another boot."""
+    def written_before_s(self, now_ns: int | None = None) -> float:
+        """Return the time since it was written; by UTC where that was in another boot."""
         boot = boot_name()
         if self.boot_id == boot is not None:
-            return max(0.0, (elapsed_ns() - self.boot_ns) / NS_PER_S)
+            return max(0.0, ((elapsed_ns() if now_ns is None else now_ns) - self.boot_ns) / NS_PER_S)
         return max(0.0, (time.time_ns() - self.utc_ns) / NS_PER_S)
+
+
+UNREADABLE = Kept(
+    state=DriveState(must_switch_off=True), utc_ns=0, boot_ns=0, boot_id="unreadable", heard_boot_ns=0
+)
+"""Stands for a file that cannot be read: the output counts as on, without a command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """How the process of the drive is reached: its port, its key in hexadecimal, and what it drives."""
+    """How the process of the drive is reached: its port, its key in hexadecimal, and its configuration."""
 
     port: int
     key: str
@@ -84,15 +93,20 @@ def address_of(folder: Path) -> Address:
     return Address(**json.loads(lock_text(folder, DRIVE_LOCK).partition("\n")[2]))
 
 
-def kept_now(state: DriveState, **told: Any) -> Kept:
-    """Make what is to be kept at this moment."""
+def process_of(folder: Path) -> int:
+    """Read the process number of the holder of the lock; ValueError where it is not there yet."""
+    return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
+
+
+def kept_now(state: DriveState, **values: Any) -> Kept:
+    """Return the content for this moment."""
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}
-    return Kept(state=state, **{**stamps, **told})
+    return Kept(state=state, **{**stamps, **values})
 
 
 def write_kept(folder: Path, kept: Kept) -> None:
-    """Keep it, durably.
+    """Write it durably.
 
     Raises
     ------
@@ -101,35 +115,46 @@ def write_kept(folder: Path, kept: Kept) -> None:
     """
     # Not the suffix of hints, which a recorder that starts sweeps away.
     temporary = (folder / DRIVE_FILE).with_suffix(".new")
-    write_durably(folder / DRIVE_FILE, json.dumps(asdict(kept)).encode(), temporary=temporary)
+    content = json.dumps(asdict(kept), default=sorted).encode()
+    write_durably(folder / DRIVE_FILE, content, temporary=temporary)
 
 
 def read_kept(folder: Path) -> Kept | None:
-    """Read what was kept; None where nothing was, or nothing that can be read (with a warning)."""
-    content = read_hint(folder / DRIVE_FILE)
-    if content is None:
-        return None
+    """Read it; None where there is none, `UNREADABLE` (with a warning) where it cannot be read."""
+    path = folder / DRIVE_FILE
     try:
-        values = json.loads(content)
+        values = json.loads(path.read_bytes())
         state = values.pop("state")
+        if "output_on" in state:  # written before commands were kept
+            state["command"] = {} if state.pop("output_on") else None
+            state["latched"] = ["supply_unwatched"] if state.pop("unwatched") else []
+        command = state["command"]
+        state["command"] = None if command is None else Command(**command)
+        state["latched"] = frozenset(state["latched"])
         return Kept(state=DriveState(**{**state, "charge": Charge(**state["charge"])}), **values)
-    except (ValueError, TypeError, LookupError, AttributeError) as error:
-        log.warning("%s cannot be read (%s: %s)", folder / DRIVE_FILE, type(error).__name__, error)
+    except FileNotFoundError:
         return None
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        log.warning("%s cannot be read (%s: %s)", path, type(error).__name__, error)
+        return UNREADABLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveNow:
-    """The drive as whoever looks at the folder finds it.
+    """State of the drive as it is read from the folder.
 
     Attributes
     ----------
     state
-        "unknown" where the newest reading says nothing of now.
+        "unknown" where the newest reading is too old.
     last, age_s
-        What the newest reading said, and its age; None: there was none.
+        Newest reading, and its age; None: there was none.
+    switch_off_pending
+        The output must be off and has not been read as off yet.
     process
-        Its process runs; None: nobody can tell.
+        Its process runs; None: that cannot be found out.
+    written_age_s
+        Age of the file.
     """
 
     state: SupplyState
@@ -138,15 +163,18 @@ class DriveNow:
     age_s: float | None
     tripped: str | None
     unwatched: bool
+    switch_off_pending: bool
     process: bool | None
+    written_age_s: float
 
 
 def look_at_drive(folder: Path) -> DriveNow | None:
-    """Tell how the drive stands at this moment; None where it has no process of its own and never had."""
+    """Return the state of the drive at this moment; None where it never had a process of its own."""
     kept, process = read_kept(folder), is_owned(folder, DRIVE_LOCK)
     if kept is None:
         return None
-    age_s = None if kept.age_s is None else kept.age_s + kept.written_before_s()
+    written_age_s = kept.written_before_s()
+    age_s = None if kept.age_s is None else kept.age_s + written_age_s
     good = process is not False and age_s is not None and age_s <= kept.good_for_s
     return DriveNow(
         state=kept.output if good else "unknown",
@@ -154,16 +182,20 @@ def look_at_drive(folder: Path) -> DriveNow | None:
         last=kept.output,
         age_s=age_s,
         tripped=kept.state.tripped,
-        unwatched=kept.state.unwatched,
+        unwatched="supply_unwatched" in kept.state.latched,
+        switch_off_pending=kept.state.must_switch_off,
         process=process,
+        written_age_s=written_age_s,
     )
 
 
 def described(now: DriveNow) -> str:
-    """Say it to a person."""
+    """Describe it in one line."""
     last = "" if now.quality == "good" else f"{now.last} when it was "
     age = "never read" if now.age_s is None else f"{last}read {now.age_s:.0f} s ago"
     parts = [f"{now.state}, {age}"]
-    parts += [f"switched off and kept off: {now.tripped}"] if now.tripped is not None else []
-    parts += ["nobody owns its port"] if now.process is False else []
+    parts += ["switch-off pending, output may be ON"] if now.switch_off_pending else []
+    parts += [f"tripped: {now.tripped}"] if now.tripped is not None else []
+    parts += [f"state written {now.written_age_s:.0f} s ago"] if now.quality != "good" else []
+    parts += ["no process owns its port"] if now.process is False else []
     return "; ".join(parts)

@@ -32,6 +32,10 @@ class ReadingLog:
         """Plan the next attempt for the next call."""
         self._due_ns = now_ns
 
+    def look_again_within(self, now_ns: int, seconds: float) -> None:
+        """Plan the next attempt at the latest so many seconds from now."""
+        self._due_ns = min(self._due_ns, now_ns + round(seconds * NS_PER_S))
+
     def succeeded(self, now_ns: int) -> None:
         """Note a reading."""
         self._read_ns, self.trouble = now_ns, ""

@@ -1,17 +1,20 @@
-"""The recorder's side of a drive in a process of its own: found, started where there is none, asked.
+"""The recorder's side of a drive in a process of its own: found, started if absent, replaced if it hangs.
 
-Only an order waits for it, for a bounded time. What was told last is shown with its age; as soon as the
-process does not answer, what the output does is unknown. Nothing here repeats an order.
+Nothing here waits for that process but `switch_off_at_end`. The newest answer is shown with its age; as soon
+as the process does not answer, what the output does is unknown. No command `on` is repeated; one without an
+answer is followed by a switch-off.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
+import os
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,12 +22,18 @@ from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.clock import elapsed_ns
 from daq_service.corrosion_drive.channel import Connection, connect
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import DriveCondition, no_supply
-from daq_service.corrosion_drive.kept import address_of, kept_now, write_kept
+from daq_service.corrosion_drive.drive import (
+    SWITCH_OFF_BY_HAND,
+    SWITCH_OFF_PENDING,
+    DriveCondition,
+    Reply,
+    no_supply,
+)
+from daq_service.corrosion_drive.kept import address_of, kept_now, process_of, read_kept, write_kept
 from daq_service.corrosion_drive.own_process import fingerprint
-from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 from hardware_drivers.drive_parameters import DriveParameters
-from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -33,15 +42,28 @@ LOOK_EVERY_S = 0.5
 STARTS_AFTER_S = (0.0, 1.0, 2.0, 5.0, 10.0, 30.0)
 """Before each further start of a process that does not come up; the last one repeats."""
 COMES_WITHIN_S = 30.0
-"""So long it may take from the first look to the first answer without an alarm."""
+"""So long it may take to the first answer without an alarm, and so long a command is kept unsent."""
+ENDS_WITHIN_S = 2.0
+"""At the end of a test: half of the time that a supervisor leaves its recorder."""
 PAUSE_S = 0.01
+KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
+"""Ends also a stopped process; Windows ends any process at once by its other name."""
 
 Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
 def answered_within_s(parameters: DriveParameters) -> float:
-    """Longest time between an order to the process and its answer: what it is at, then the order."""
+    """Return the longest time between a request and its answer: what the process is at, then the request."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
+
+
+@dataclass(slots=True, kw_only=True)
+class _Request:
+    """A request on its way, or waiting to be sent."""
+
+    values: Mapping[str, Any]
+    since_s: float
+    reply: Reply
 
 
 class RemoteDrive:
@@ -51,8 +73,14 @@ class RemoteDrive:
     ----------
     start
         Starts the process, detached, for this folder.
+    supply_port
+        Names the supply's port; see `own_process.DriveProcess`.
+    watches
+        False: it only looks whether the process lives, which then counts the recorder as absent.
     mono_s, pause
-        The machine's monotonic time, and how an order's answer is waited for.
+        The machine's monotonic time, and how an answer is waited for at the end of a test.
+    kill
+        Ends a process that hangs, by its number.
     """
 
     def __init__(
@@ -61,17 +89,25 @@ class RemoteDrive:
         folder: Path,
         start: Start,
         *,
+        supply_port: str = "",
+        watches: bool = True,
         mono_s: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
+        kill: Callable[[int], None] = lambda process: os.kill(process, KILL),
     ) -> None:
         self._parameters, self._folder, self._start = parameters, folder, start
-        self._mono_s, self._pause = mono_s, pause
+        self._supply_port, self._watches = supply_port, watches
+        self._mono_s, self._pause, self._kill = mono_s, pause, kill
         self._connection: Connection | None = None
+        self._answers = False
         self._process: subprocess.Popen[bytes] | None = None
         self._ids = itertools.count(1)
-        self._asked: int | None = None
-        self._told: Mapping[str, Any] | None = None
-        self._told_s = self._begun_s = self._look_s = self._start_s = mono_s()
+        self._sent: dict[int, _Request] = {}
+        self._unsent: list[_Request] = []
+        self._pending: Mapping[str, Any] | None = None
+        self._commanded: bool | None = None
+        self._newest: Mapping[str, Any] | None = None
+        self._newest_s = self._begun_s = self._look_s = self._start_s = mono_s()
         self._starts = 0
         self._tripped: str | None = None
 
@@ -79,25 +115,36 @@ class RemoteDrive:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._disconnect()
+        if any(one.values["do"] == "energise" for one in self._sent.values()):
+            self._command("switch off", author="the recorder's end")  # nobody gets the answer to that command
+        self._disconnect("the recorder has ended")
+        self._forget()
+
+    def _forget(self) -> None:
         if self._process is not None and self._process.poll() is None:
-            self._process.returncode = 0  # it outlives us, and nobody of ours waits for it
+            self._process.returncode = 0  # it outlives us, or was killed: nothing here waits for it
 
     def begin(self, state: DriveState) -> None:
-        """Take over what the catalogue says; a process that kept its own state knows more."""
+        """Take over the catalogue's state; a process that kept its own state knows more."""
         self._tripped = state.tripped
-        if (self._folder / DRIVE_FILE).exists():
+        kept = read_kept(self._folder)
+        if kept is not None and kept.utc_ns:
             return
         try:
-            write_kept(self._folder, kept_now(state))
+            write_kept(self._folder, kept_now(replace(state, command=None)))
         except OSError as error:
-            log.warning("the drive begins without its charge: %s", error)
+            log.warning("the drive starts without its charge: %s", error)
 
     # While the recorder is idle ------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Take what was told and ask again; where nobody is, start a process. Waits for nothing."""
+        """Take answers and ask again; start a process where none runs, replace one that hangs; never wait."""
         now_s = self._mono_s()
+        for request in [one for one in self._unsent if now_s - one.since_s >= COMES_WITHIN_S]:
+            self._unsent.remove(request)
+            request.reply.error = "the process of the drive does not answer; nothing was sent to it"
+            if request.values["do"] != "energise":
+                self._follow_up(request)
         if self._connection is None:
             if now_s >= self._look_s:
                 self._look_s = now_s + LOOK_EVERY_S
@@ -105,12 +152,22 @@ class RemoteDrive:
             return
         try:
             for answer in self._connection.received():
+                if answer.get("released"):
+                    self._disconnect("the process of the drive has released the supply")
+                    return
                 self._take(answer)
-            if self._asked is None and now_s >= self._look_s:
+            for request in self._unsent[:]:
+                self._unsent.remove(request)
+                self._send(request)
+            if not self._sent and now_s >= self._look_s:
                 self._look_s = now_s + LOOK_EVERY_S
-                self._asked = self._send("look")
+                self._send_now("look" if self._watches else "ping")
         except OSError as error:
             self._lose(error)
+            return
+        waited_s = now_s - min((one.since_s for one in self._sent.values()), default=now_s)
+        if waited_s >= answered_within_s(self._parameters):
+            self._replace(f"it has not answered for {waited_s:.0f} s")
 
     def _find(self, now_s: float) -> None:
         owned = is_owned(self._folder, DRIVE_LOCK)
@@ -126,143 +183,176 @@ class RemoteDrive:
         try:
             address = address_of(self._folder)
             self._connection = connect(address.port, bytes.fromhex(address.key))
-            if address.fingerprint != fingerprint(self._parameters):
-                self._send("hand over", why="the recorder has another configuration or version")
-                self._disconnect()
-                return
-            self._asked = (
-                self._send("look") if self._tripped is None else self._send("trip", reason=self._tripped)
-            )
+            if not self._watches:
+                self._send_now("ping")
+            elif address.fingerprint != fingerprint(self._parameters):
+                why = "the recorder has another configuration or version"
+                self._send_now("hand over", why=why, supply_port=self._supply_port)
+            elif self._pending is not None:
+                self._send_now(**self._pending)
+            elif self._tripped is not None:
+                self._send_now("trip", reason=self._tripped)
+            else:
+                self._send_now("look", commanded=self._commanded)
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._lose(error)
 
-    def _send(self, do: str, **values: Any) -> int:
+    def _send_now(self, do: str, **values: Any) -> None:
+        self._send(_Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply()))
+
+    def _send(self, request: _Request) -> None:
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
-        self._connection.send({"id": number, "do": do, **values})
-        return number
+        request.since_s = self._mono_s()
+        self._sent[number] = request
+        self._connection.send({"id": number, **request.values})
 
     def _take(self, answer: Mapping[str, Any]) -> None:
-        if answer["id"] == self._asked:
-            self._asked = None
-        self._told, self._told_s, self._starts = answer, self._mono_s(), 0
-        self._tripped = answer["row"]["supply_tripped"]
+        request = self._sent.pop(answer["id"], None)
+        if request is not None:
+            request.reply.error = answer.get("error", "")
+            request.reply.done = not request.reply.error
+        if "row" not in answer:
+            return
+        self._newest, self._newest_s = answer, self._mono_s()
+        self._answers, self._starts = True, 0
+        self._tripped, self._commanded = answer["row"]["supply_tripped"], answer.get("commanded")
+        if request is not None and request.values == self._pending:
+            self._pending = None  # the process itself goes on trying where it failed
 
     def _lose(self, error: Exception) -> None:
-        log.log(logging.WARNING if self._told else logging.DEBUG, "the process of the drive: %s", error)
-        self._disconnect()
+        log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
+        self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
-    def _disconnect(self) -> None:
+    def _disconnect(self, reason: str) -> None:
         if self._connection is not None:
             self._connection.close()
-        self._connection, self._asked = None, None
+        self._connection, self._answers = None, False
+        sent, self._sent = self._sent, {}
+        for request in sent.values():
+            request.reply.error = reason
+            self._follow_up(request)
 
-    # Orders --------------------------------------------------------------------------------------
+    def _follow_up(self, request: _Request) -> None:
+        """Let a switch-off follow a command without an answer, as soon as a process is met."""
+        if request.values["do"] in ("energise", "switch off"):
+            self._pending = self._pending or {"do": "switch off", "author": request.values["author"]}
+        elif request.values["do"] == "trip":
+            self._pending = request.values
+
+    def _replace(self, reason: str) -> None:
+        """Kill a process that hangs; the next look starts another one."""
+        try:
+            process = process_of(self._folder)
+            log.error("the process of the drive (%d) is killed: %s", process, reason)
+            self._kill(process)
+        except (OSError, ValueError) as error:
+            log.error("the process of the drive hangs and cannot be killed: %s", error)
+        self._disconnect("the process of the drive hung, what the output does is unknown")
+        self._starts, self._start_s = 0, self._mono_s()
+
+    # Commands ------------------------------------------------------------------------------------
 
     def energise(
         self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
-    ) -> None:
-        """Switch the output on at a person's order, and close the interlock.
+    ) -> Reply:
+        """Command the output on, and reset the interlock."""
+        return self._command("energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
-        Raises
-        ------
-        InstrumentError
-            It was not done, or what became of it is unknown.
-        """
-        self._order("energise", author=author, voltage_v=voltage_v, current_limit_a=current_limit_a)
-
-    def switch_off(self, author: str) -> None:
-        """Switch the output off at a person's order; the interlock stays as it is.
-
-        Raises
-        ------
-        InstrumentError
-            What the output does is unknown.
-        """
-        self._order("switch off", author=author)
+    def switch_off(self, author: str) -> Reply:
+        """Command the output off; the interlock stays as it is."""
+        return self._command("switch off", author=author)
 
     def trip(self, reason: str) -> bool:
-        """Open the interlock; a process that does not answer now hears it as soon as it does."""
+        """Trip the interlock; a process that does not answer now gets it as soon as it does."""
         self._tripped = self._tripped or reason
-        try:
-            return not self._order("trip", reason=reason)["owes"]
-        except (ConfigurationError, ConnectionLostError) as error:
-            log.error("the interlock is not open yet: %s", error)
-            self._tripped = self._tripped or reason
-            self._disconnect()  # it is told first when it is met again
-            return False
+        self._command("trip", reason=reason)
+        return False
 
-    def _order(self, do: str, **values: Any) -> Mapping[str, Any]:
-        """Ask once and wait for the answer, at most `answered_within_s` and the time to meet the process."""
-        begin_by_s = self._mono_s() + COMES_WITHIN_S
-        while self._connection is None or self._asked is not None:
-            if self._mono_s() >= begin_by_s:
-                raise ConnectionLostError("the process of the drive does not answer; nothing was sent to it")
-            self.tick()
+    def _command(self, do: str, **values: Any) -> Reply:
+        if do == "energise":
+            until_ns = elapsed_ns() + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
+            values["until_boot_ns"] = until_ns
+        request = _Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply())
+        self._unsent.append(request)
+        self._look_s = min(self._look_s, self._mono_s())
+        self.tick()
+        return request.reply
+
+    def switch_off_at_end(self) -> None:
+        """Switch off; a process that does not answer soon is replaced by one that begins with that.
+
+        Raises
+        ------
+        ConnectionLostError
+            What the output does is unknown; the switch-off is pending.
+        """
+        reply, deadline_s = self.switch_off("the end of the test"), self._mono_s() + ENDS_WITHIN_S
+        while not (reply.done or reply.error) and self._mono_s() < deadline_s:
             self._pause(PAUSE_S)
-        within_s = answered_within_s(self._parameters)
-        begun_by_ns = elapsed_ns() + round(self._parameters.read_timeout_s + 5.0) * NS_PER_S
+            self.tick()
+        if reply.done:
+            return
+        if reply.error and self._connection is not None:
+            raise ConnectionLostError(reply.error)  # it answers, and goes on trying
+        if is_owned(self._folder, DRIVE_LOCK):
+            self._replace("it does not answer at the end of the test")
+        kept = read_kept(self._folder)
+        state = DriveState() if kept is None else kept.state
         try:
-            number = self._asked = self._send(do, until_boot_ns=begun_by_ns, **values)
-            deadline_s = self._mono_s() + within_s
-            while self._mono_s() < deadline_s:
-                for answer in self._connection.received():
-                    self._take(answer)
-                    if answer["id"] == number:
-                        if "error" in answer:
-                            raise ConfigurationError(answer["error"])
-                        return answer
-                self._pause(PAUSE_S)
+            write_kept(self._folder, kept_now(replace(state, command=None, must_switch_off=True)))
         except OSError as error:
-            self._lose(error)
-        self._disconnect()
-        raise ConnectionLostError(
-            "the process of the drive has not answered, what the output does is unknown; look before the "
-            "order is given again"
-        )
+            log.error("the drive's next process finds no switch-off to do: %s", error)
+        self._forget()
+        self._process = self._start()
+        raise ConnectionLostError("the process of the drive did not answer; another one switches off")
 
-    # What it says --------------------------------------------------------------------------------
+    # Readings and conditions ---------------------------------------------------------------------
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Possible alarms as told last, but for the loss of whoever told them."""
-        told = () if self._told is None else self._told["conditions"]
-        found = {condition["name"]: DriveCondition(**condition) for condition in told}
+        """Return the conditions as answered last, but for the loss of the process that answers."""
+        answered = () if self._newest is None else self._newest["conditions"]
+        found = {condition["name"]: DriveCondition(**condition) for condition in answered}
         tripped = found.get("interlock_tripped")
         if self._tripped is not None and (tripped is None or not tripped.active):
             found["interlock_tripped"] = DriveCondition(
-                name="interlock_tripped",
-                active=True,
-                message=f"{self._tripped}; the process of the drive has not heard it yet",
+                name="interlock_tripped", active=True, message=self._tripped
             )
-        missing_s = self._mono_s() - (self._begun_s if self._told is None else self._told_s)
-        gone = self._connection is None and (self._told is not None or missing_s >= COMES_WITHIN_S)
+        if self._pending is not None or any(one.values["do"] != "energise" for one in self._unsent):
+            found["supply_switch_off_pending"] = DriveCondition(
+                name="supply_switch_off_pending",
+                active=True,
+                message=f"{SWITCH_OFF_PENDING} Its process does not answer. {SWITCH_OFF_BY_HAND}",
+            )
+        missing_s = self._mono_s() - (self._begun_s if self._newest is None else self._newest_s)
+        gone = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if gone or missing_s >= answered_within_s(self._parameters):
             found["supply_lost"] = DriveCondition(
                 name="supply_lost",
                 active=True,
-                message="what the output does is unknown: the process of the drive does not answer, for "
-                f"{missing_s:.0f} s now",
+                message="Supply not responding, output state unknown. Its process has not answered for "
+                f"{missing_s:.0f} s.",
             )
         return tuple(found.values())
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Row of a set, as told last; without an answer the output is unknown and its time, too."""
+        """Return the row of a set as answered last; without an answer the output is unknown, and its time."""
         unknown = replace(
             no_supply(set_index, due_h),
             supply_state="unknown",
             supply_quality="stale",
             supply_tripped=self._tripped,
         )
-        if self._told is None:
+        if self._newest is None:
             return unknown
-        row = replace(unknown, **self._told["row"])
-        since_s = self._mono_s() - self._told_s
+        row = replace(unknown, **self._newest["row"])
+        since_s = self._mono_s() - self._newest_s
         aged = replace(
             row,
             supply_age_s=None if row.supply_age_s is None else row.supply_age_s + since_s,
             supply_tripped=self._tripped,
         )
-        if self._connection is not None and since_s < answered_within_s(self._parameters):
+        if self._answers and since_s < answered_within_s(self._parameters):
             return aged
         return replace(
             aged,
@@ -272,9 +362,9 @@ class RemoteDrive:
         )
 
     def begin_window(self) -> None:
-        """Start the means anew with the readings that were not in the last row."""
-        if self._connection is not None and self._told is not None:
+        """Start the means again with the readings that were not in the last row."""
+        if self._connection is not None and self._newest is not None:
             try:
-                self._send("begin window", window_length=self._told["window_length"])
+                self._send_now("begin window", window_length=self._newest["window_length"])
             except OSError as error:
                 self._lose(error)

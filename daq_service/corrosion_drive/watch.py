@@ -8,7 +8,7 @@ a crash. The climate probe is read here.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from daq_service.acquisition.schedule import DueSet
@@ -17,7 +17,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive, SupplyDrive, no_supply, summary
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive, Reply, SupplyDrive, no_supply, summary
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
@@ -31,11 +31,17 @@ log = logging.getLogger(__name__)
 SEVERITIES: Mapping[str, Severity] = {
     "supply_lost": "high",
     "supply_off_unexpectedly": "medium",
+    "supply_on_unexpectedly": "high",
+    "supply_switch_off_pending": "critical",
     "supply_limit": "medium",
+    "supply_deviation": "medium",
+    "supply_above_cap": "high",
     "interlock_tripped": "critical",
     "supply_unwatched": "high",
+    "climate_not_responding": "low",
 }
 
+Awaited = Callable[[], str | None]
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
 
 
@@ -90,21 +96,27 @@ class DriveWatch:
             self._climate.tick()
         if self._drive is not None:
             self._drive.tick()
-            self._carry_alarms(hour)
+        self._carry_alarms(hour)
+
+    def _conditions(self) -> Iterator[tuple[str, bool, str]]:
+        if self._climate is not None:
+            message = self._climate.not_responding()
+            yield "climate_not_responding", bool(message), message or "returned to normal"
+        for found in () if self._drive is None else self._drive.conditions():
+            yield found.name, found.active, found.message
 
     def _carry_alarms(self, hour: float) -> None:
-        assert self._drive is not None, "only called with a supply"
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = Transaction()
-        for found in self._drive.conditions():
+        for kind, active, message in self._conditions():
             condition = Condition(
                 position=None,
-                kind=found.name,
+                kind=kind,
                 family="device",
-                severity=SEVERITIES[found.name],
-                present=found.active,
-                message=found.message,
-                proof=self.summary() if found.active else {},
+                severity=SEVERITIES[kind],
+                present=active,
+                message=message,
+                proof=self.summary() if active else {},
             )
             self._carry(condition, moment, transaction)
         if transaction.events:
@@ -129,44 +141,50 @@ class DriveWatch:
         row = no_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
         return row if self._climate is None else self._climate.added_to(row)
 
-    # Orders --------------------------------------------------------------------------------------
+    # Commands ------------------------------------------------------------------------------------
 
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
-    ) -> str:
-        """Switch the drive on at a person's order.
+    ) -> Awaited:
+        """Switch the drive on at a person's command; see `_sent`."""
+
+        def energise(drive: SupplyDrive) -> Reply:
+            return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
+
+        done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
+        return self._sent(energise, hour, done, failed)
+
+    def supply_off(self, author: str, hour: float) -> Awaited:
+        """Switch the drive off at a person's command; see `_sent`."""
+        done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
+        return self._sent(lambda drive: drive.switch_off(author), hour, done, failed)
+
+    def _sent(self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str) -> Awaited:
+        """Send a command; what is returned returns the answer as soon as there is one, and None before.
 
         Raises
         ------
         ValueError
-            It was not done, and why.
+            It was not done, and why; also from what is returned.
         """
-        assert self._drive is not None, "a test without a supply forbids the order"
+        assert self._drive is not None, "a test without a supply forbids the command"
         try:
-            self._drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
+            reply = command(self._drive)
         except InstrumentError as error:
-            raise ValueError(f"the supply was not switched on: {error}") from error
-        self._carry_alarms(hour)
-        return "the supply is on, read back as ordered"
+            reply = Reply(error=str(error))
 
-    def supply_off(self, author: str, hour: float) -> str:
-        """Switch the drive off at a person's order.
+        def answer() -> str | None:
+            if reply.error:
+                raise ValueError(failed.format(error=reply.error))
+            if not reply.done:
+                return None
+            self._carry_alarms(hour)
+            return done
 
-        Raises
-        ------
-        ValueError
-            What the output does is unknown.
-        """
-        assert self._drive is not None, "a test without a supply forbids the order"
-        try:
-            self._drive.switch_off(author)
-        except InstrumentError as error:
-            raise ValueError(f"the supply may be on: {error}; switch it off by hand") from error
-        self._carry_alarms(hour)
-        return "the supply is off, read back"
+        return answer
 
     def trip(self, reason: str, hour: float) -> None:
-        """Open the interlock: a hole lets the solution through and the current with it."""
+        """Trip the interlock: a hole lets the solution through and the current with it."""
         if self._drive is not None:
             self._drive.trip(reason)
             self._carry_alarms(hour)
@@ -176,7 +194,7 @@ class DriveWatch:
         if not self._off_at_end or self._drive is None:
             return ""
         try:
-            self._drive.switch_off("the end of the test")
+            self._drive.switch_off_at_end()
         except InstrumentError as error:
             log.error("the supply may still be on, switch it off by hand: %s", error)
             return f"the supply may still be on, switch it off by hand: {error}"

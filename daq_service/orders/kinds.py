@@ -27,7 +27,7 @@ from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
 
 if TYPE_CHECKING:
-    from daq_service.orders.running_test import RunningTest, StoredTest
+    from daq_service.orders.running_test import Awaited, RunningTest, StoredTest
 
 LARGEST_ID = 2**53 - 1
 LARGEST_HOUR = 1e7
@@ -215,8 +215,8 @@ class Order(Strict):
             )
         return self._forbidden(facts)
 
-    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str:
-        """Do it, and say what was done.
+    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | Awaited:
+        """Do it and return what was done, or what returns that as soon as an instrument has answered.
 
         Raises
         ------
@@ -241,7 +241,7 @@ class Order(Strict):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         return None
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+    def _carry_out(self, test: RunningTest, order_id: int) -> str | Awaited:
         raise NotImplementedError
 
 
@@ -536,7 +536,7 @@ class SupplyOn(_SupplyOrder):
     author: Author
     arguments: SupplyArguments = SupplyArguments()
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
@@ -549,5 +549,5 @@ class SupplyOff(_SupplyOrder):
     kind: Literal["supply_off"]
     arguments: NoteArguments = NoteArguments()
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
         return test.switch.supply_off(self.author, test.moment().due_h)

@@ -22,7 +22,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.orders.deadline import as_it_stands, expired_because, left_now_s
 from daq_service.orders.every import KINDS, read_order
 from daq_service.orders.kinds import Facts, Order
-from daq_service.orders.running_test import RunningTest
+from daq_service.orders.running_test import Awaited, RunningTest
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -67,6 +67,7 @@ class OrderListener:
         self._begun = False
         self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
+        self._awaited: dict[int, Awaited] = {}
         # Whatever ended the last recorder: a restart never ends a hold.
         self._held = catalogue.held() or ""
 
@@ -97,7 +98,10 @@ class OrderListener:
         self._listened_ns = now_ns
         for row in self._catalogue.open_commands():
             # Once: an answer that the disk did not take must not switch a supply on a second time.
-            answer = self._answers.get(row.id) or self._carried_out(row)
+            awaited = self._awaited.get(row.id)
+            answer = self._answers.get(row.id) or (
+                self._carried_out(row) if awaited is None else self._answered(row, awaited)
+            )
             # What is stored says it, as after a restart.
             self._held = self._catalogue.held() or ""
             if answer is not None:
@@ -127,8 +131,10 @@ class OrderListener:
             order = read_order(row.kind, row.author, row.arguments)
             result = order.carry_out(replace(self._test, store=told.append), row.id, self._facts())
         except (UsageError, ValueError) as error:
-            log.warning("order %d (%s) refused: %s", row.id, row.kind, error)
-            return "refused", str(error)
+            return _refused(row, error)
+        if callable(result):
+            self._awaited[row.id] = result
+            return self._answered(row, result)
         log.info("order %d (%s) of %s: %s", row.id, row.kind, row.author, result)
         if not told:
             return "done", result
@@ -136,6 +142,18 @@ class OrderListener:
         transaction.order = replace(row, state="done", result=result, finished_wall_utc_ns=time.time_ns())
         self._test.store(transaction)
         return None
+
+    def _answered(self, row: CommandRow, awaited: Awaited) -> Answer | None:
+        """Return the answer of an instrument to a command that was sent to it; None while there is none."""
+        try:
+            if (result := awaited()) is None:
+                return None
+        except ValueError as error:
+            del self._awaited[row.id]
+            return _refused(row, error)
+        del self._awaited[row.id]
+        log.info("command %d (%s) of %s: %s", row.id, row.kind, row.author, result)
+        return "done", result
 
     def _facts(self) -> Facts:
         return Facts(
@@ -148,3 +166,8 @@ class OrderListener:
             annotations=self._test.annotations(),
             baselines=self._catalogue.newest_baselines(),
         )
+
+
+def _refused(row: CommandRow, error: Exception) -> Answer:
+    log.warning("command %d (%s) refused: %s", row.id, row.kind, error)
+    return "refused", str(error)

@@ -18,16 +18,20 @@ AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, AlarmRow]
 
 
+Awaited = Callable[[], str | None]
+"""Returns an instrument's answer, None while there is none; a refusal is a ValueError."""
+
+
 class SupplySwitch(Protocol):
-    """Who switches the corrosion drive; a refusal is a ValueError."""
+    """Switches the corrosion drive without waiting for it; a refusal is a ValueError."""
 
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
-    ) -> str:
+    ) -> Awaited:
         """Switch it on; voltage and limit as configured where not given."""
         ...
 
-    def supply_off(self, author: str, hour: float) -> str:
+    def supply_off(self, author: str, hour: float) -> Awaited:
         """Switch it off."""
         ...
 

@@ -24,7 +24,7 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
-from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
+from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
@@ -266,8 +266,7 @@ def longest_call_s(settings: Settings) -> float:
     """Longest a bounded call of an instrument may take; what has no bound of its own is not counted."""
     rig = settings.rig
     longest_s = max(item.kind.longest_call_s(item.parameters) for item in configured(settings))
-    order_s = 0.0 if rig.driven is None else COMES_WITHIN_S + answered_within_s(rig.driven)
-    return max(rig.read_timeout_s, longest_s, order_s)
+    return max(rig.read_timeout_s, longest_s)
 
 
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:

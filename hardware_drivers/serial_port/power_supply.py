@@ -94,7 +94,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         ConnectionLostError
             The supply does not answer; the message says what is known of its output.
         """
-        self._require_within_caps(voltage_v, current_limit_a)
+        self._parameters.require_within_caps(voltage_v, current_limit_a)
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
         try:
             self._connect(deadline_s, at_once=True)
@@ -236,18 +236,6 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             if measured > most:
                 raise ConfigurationError(
                     f"{self._line.name} gives {measured:g} {unit}; at most {most:g} {unit} was asked for"
-                )
-
-    def _require_within_caps(self, voltage_v: float, current_limit_a: float) -> None:
-        parameters = self._parameters
-        for name, value, cap_name, cap in (
-            ("voltage_v", voltage_v, "voltage_cap_v", parameters.voltage_cap_v),
-            ("current_limit_a", current_limit_a, "current_cap_a", parameters.current_cap_a),
-        ):
-            if not 0.0 < value <= cap:
-                raise ConfigurationError(
-                    f"{name} is {value:g}; it must be above 0 and at most {cap_name} = {cap:g}; "
-                    "nothing was sent"
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:

@@ -121,13 +121,13 @@ def see_the_supply_and_climate(filled, page):
     climate = strip.locator('[data-quality="stale"]')
     expect(climate).to_contain_text("Stale")
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
-    off = DriveState(tripped="nobody watched: no recorder was heard for 600 s", unwatched=True)
+    off = DriveState(tripped="no recorder was heard for 600 s", must_switch_off=True)
     write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
     now = strip.locator('[data-quality="lost"]')
     expect(now).to_contain_text("Supply now")
     expect(now).to_contain_text(
-        "unknown; off when it was read last; switched off and kept off: nobody watched"
+        "unknown; off when it was read last; switch-off pending, output may be ON; tripped: no recorder"
     )
     (filled.folder / DRIVE_FILE).unlink()
 

@@ -288,7 +288,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     filled.retire("C", index)
     filled.add_environment(index)
     filled.say("hold", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
-    off = DriveState(tripped="nobody watched", unwatched=True)
+    off = DriveState(tripped="no recorder was heard")
     write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
     filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")

@@ -219,6 +219,13 @@ def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
     assert environment(folder)[-1].unknown_s > 0.0
 
 
+def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    assert run(settings_with(instruments, 6), folder, act={1: instruments.climate_link.unplug})
+    assert alarms(folder)["climate_not_responding"].severity == "low"
+    assert environment(folder)[-1].climate_quality == "lost"
+
+
 def test_orders_beyond_the_caps_are_refused(instruments: SerialInstruments, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     assert run(settings_with(instruments, 3), folder, orders={1: ("supply_on", {"voltage_v": 50.0})})

@@ -7,8 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from support.waiting import ended, until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
-from daq_service.cli.run import start_drive
+from daq_service.cli.run import remote_drive, start_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.guard import LOOK_EVERY_S, DriveGuard
@@ -31,6 +30,7 @@ from daq_service.corrosion_drive.kept import look_at_drive
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
+    DRIVE_FILE,
     DRIVE_LOCK,
     is_owned,
     lock_text,
@@ -45,7 +45,7 @@ from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.serial.instruments import SerialInstruments, Supply
+from simulator.doubles.serial.instruments import Cell, SerialInstruments, Supply
 from simulator.doubles.serial.link import pseudo_terminals_missing
 
 NO_TERMINALS = pseudo_terminals_missing()
@@ -57,12 +57,12 @@ WATCHED_S, UNWATCHED_S = 600.0, 1.0
 IDENTITY = "SOLIMON,DC SUPPLY DOUBLE"
 
 
-def line_of(instruments: SerialInstruments) -> dict[str, str | float]:
-    return {"port": str(instruments.supply_link.path), "reply_timeout_s": 5.0}
+def line_of(instruments: SerialInstruments, reply_timeout_s: float = 5.0) -> dict[str, str | float]:
+    return {"port": str(instruments.supply_link.path), "reply_timeout_s": reply_timeout_s}
 
 
 def settings_of(
-    instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int
+    instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int, **supply: Any
 ) -> Settings:
     """A set a second on the twin, beside the supply."""
     return small_settings(
@@ -81,6 +81,7 @@ def settings_of(
                 "log_interval_s": 0.2,
                 "off_at_end": off_at_end,
                 "unwatched_s": unwatched_s,
+                **supply,
             }
         },
     )
@@ -128,9 +129,11 @@ class Test:
     orders: list[int] = field(default_factory=list)
 
     def settings(
-        self, *, unwatched_s: float = WATCHED_S, off_at_end: bool = True, sets: int = SETS
+        self, *, unwatched_s: float = WATCHED_S, off_at_end: bool = True, sets: int = SETS, **supply: Any
     ) -> Settings:
-        return settings_of(self.instruments, unwatched_s=unwatched_s, off_at_end=off_at_end, sets=sets)
+        return settings_of(
+            self.instruments, unwatched_s=unwatched_s, off_at_end=off_at_end, sets=sets, **supply
+        )
 
     def order(self, kind: str, **arguments: Any) -> None:
         with open_catalogue(self.folder) as catalogue:
@@ -153,8 +156,8 @@ class Test:
                 (after or {}).get(values["done"], lambda: None)()
 
         assert settings.rig.supply is not None
-        start = partial(start_drive, settings, self.folder)
-        with own_data_folder(self.folder), RemoteDrive(settings.rig.supply, self.folder, start) as drive:
+        near = remote_drive(settings, settings.rig.supply, self.folder)
+        with own_data_folder(self.folder), near as drive:
             return record(
                 settings,
                 self.folder,
@@ -183,6 +186,14 @@ class Test:
         finally:
             stop.set()
             ended(recorder, "the stop")
+
+    def run_switched_on(self, settings: Settings) -> None:
+        """Record in real time until a person has switched the supply on and its charge is stored."""
+        with self.recording(settings):
+            until(self.has_begun, "the recorder")
+            self.order("supply_on")
+            until(lambda: self.answers() == ["done"], "the answer")
+            until(self.has_charge, "a set with its charge")
 
     def switchings(self) -> list[bool]:
         return [change.on for change in self.instruments.output_changes()]
@@ -227,7 +238,7 @@ class Test:
         assert now is not None
         assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
         said = describe_status(self.folder, Settings())["supply"]["description"]
-        assert "switched off and kept off: nobody watched" in said
+        assert "tripped: no recorder was heard" in said
 
 
 @pytest.fixture
@@ -241,8 +252,7 @@ def test(tmp_path: Path) -> Iterator[Test]:
 
 
 def test_the_end_switches_off_and_the_process_leaves(test: Test) -> None:
-    assert test.run(test.settings(unwatched_s=3.0), after={1: lambda: test.order("supply_on")})
-    assert test.answers() == ["done"]
+    test.run_switched_on(test.settings(unwatched_s=3.0))
     assert test.switchings() == [True, False], "off when the recorder ends"
     until(test.drive_has_left, "the process of the drive has left")
     with open_catalogue(test.folder) as catalogue:
@@ -254,13 +264,13 @@ def test_the_end_switches_off_and_the_process_leaves(test: Test) -> None:
 
 def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_back(test: Test) -> None:
     settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
-    assert test.run(settings, after={1: lambda: test.order("supply_on")})
+    test.run_switched_on(settings)
     test.is_switched_off_unwatched()
     # The next recorder tells it, and energises nothing.
     with test.recording(settings):
         found = until(lambda: test.alarms() if "supply_unwatched" in test.alarms() else None, "the alarm")
         assert found["supply_unwatched"].state == found["interlock_tripped"].state == "unacknowledged"
-        assert "nobody watched" in found["supply_unwatched"].message
+        assert "no recorder was heard" in found["supply_unwatched"].message
         assert test.switchings() == [True, False]
         test.order("supply_on")
         until(lambda: test.instruments.supply.on, "a person's order")
@@ -272,7 +282,7 @@ def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_b
 )
 def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, error: type[Exception]) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
-        if key.set_index == 2:
+        if test.answers() == ["done"] and test.instruments.supply.on:
             raise error("it ends")
         return acquired
 
@@ -283,8 +293,12 @@ def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, erro
             yield opened
 
     with pytest.raises(error):
-        test.run(test.settings(unwatched_s=UNWATCHED_S), after={1: lambda: test.order("supply_on")}, rig=rig)
-    assert test.answers() == ["done"]
+        test.run(
+            test.settings(unwatched_s=UNWATCHED_S, sets=600),
+            after={1: lambda: test.order("supply_on")},
+            rig=rig,
+            wall_clock=WallClock,
+        )
     test.is_switched_off_unwatched()
 
 
@@ -299,7 +313,7 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
         os.kill(first, signal.SIGKILL)
         found = until(lambda: test.alarms() or None, "the alarm")
         assert list(found) == ["supply_lost"]
-        assert "what the output does is unknown" in found["supply_lost"].message
+        assert "output state unknown" in found["supply_lost"].message
         until(lambda: test.alarms()["supply_lost"].state == "returned_unacknowledged", "another one")
         assert test.drive() != first
         assert test.instruments.supply.on, "it reads what the output does"
@@ -308,33 +322,41 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
     assert test.switchings() == [True, False]
 
 
+@pytest.mark.parametrize("state", ["on", "unreadable"])
 def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_switches_off(
-    test: Test,
+    test: Test, state: str
 ) -> None:
-    assert test.run(test.settings(off_at_end=False), after={1: lambda: test.order("supply_on")})
+    test.run_switched_on(test.settings(off_at_end=False))
     os.kill(test.drive(), signal.SIGKILL)
     until(test.drive_has_left, "the kill")
     started: list[subprocess.Popen[bytes]] = []
+    if state == "unreadable":
+        (test.folder / DRIVE_FILE).write_bytes(b"{torn")
     sooner = test.settings(off_at_end=False, unwatched_s=UNWATCHED_S)
+    assert sooner.rig.supply is not None
 
     def start() -> subprocess.Popen[bytes]:
         started.append(start_drive(sooner, test.folder))
         return started[-1]
 
     now_s = [0.0]
-    guard = DriveGuard(test.folder, start, mono_s=lambda: now_s[0])
-    guard.look()
-    assert len(started) == 1
-    test.is_switched_off_unwatched()
-    ended(started[0], "the drive")
-    now_s[0] += LOOK_EVERY_S
-    guard.look()
-    assert len(started) == 1, "it was left off"
+    remote = RemoteDrive(sooner.rig.supply, test.folder, start, watches=False, mono_s=lambda: now_s[0])
+    with remote:
+        guard = DriveGuard(test.folder, remote, check_every_s=600.0, mono_s=lambda: now_s[0])
+        guard.look()
+        assert len(started) == 1
+        until(lambda: not test.instruments.supply.on, "the supply is off")
+        until(test.drive_has_left, "the process of the drive has left")
+        assert test.switchings() == [True, False]
+        ended(started[0], "the drive")
+        now_s[0] += LOOK_EVERY_S
+        guard.look()
+        assert len(started) == 1, "it was left off"
 
 
 def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Test) -> None:
     settings = test.settings(off_at_end=False)
-    assert test.run(settings, after={1: lambda: test.order("supply_on")})
+    test.run_switched_on(settings)
     drive, charge = test.drive(), test.charge_coulomb()
     with test.recording(settings):
         until(lambda: test.charge_coulomb() > charge, "a set with its charge")
@@ -442,12 +464,130 @@ def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_
                 ended(process, "SIGTERM")
             finally:
                 process.kill()
-    assert heard == [["READY=1"]], "the one that owns it"
+    assert heard[0] == ["READY=1"], "the one that owns it"
+    assert {tuple(lines) for lines in heard[1:]} == {("WATCHDOG=1",)}
     assert second.returncode == 5
     assert f"another process of the drive owns {test.folder} (process {process.pid}); " in second.stderr
     assert "key" not in second.stderr + (test.folder / "logs" / "drive.log").read_text(encoding="utf-8")
     assert process.returncode == 130
     assert test.switchings() == [True, False]
+
+
+# Faults that left the output on, each once with real processes ------------------------------------------
+
+
+@contextmanager
+def energised(test: Test, **supply: Any) -> Iterator[None]:
+    """A recorder in real time whose supply a person has switched on."""
+    with test.recording(test.settings(**supply)):
+        until(test.has_begun, "the recorder")
+        test.order("supply_on")
+        until(lambda: test.answers() == ["done"], "the answer")
+        yield
+
+
+def alarm(test: Test, kind: str) -> str:
+    return until(lambda: test.alarms().get(kind), kind).message
+
+
+@pytest.mark.parametrize("off", ["command", "brown-out"])
+def test_an_output_that_comes_on_by_itself_is_switched_off(test: Test, off: str) -> None:
+    with energised(test):
+        if off == "command":
+            test.order("supply_off")
+            until(lambda: test.answers() == ["done", "done"], "the answer")
+        else:
+            test.instruments.brown_out()
+            alarm(test, "supply_off_unexpectedly")
+        test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
+        assert "solimon supply --on" in alarm(test, "supply_on_unexpectedly")
+        assert not test.instruments.supply.on
+
+
+def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(test: Test) -> None:
+    supply, link = test.instruments.supply, test.instruments.supply_link
+    switch = supply._switch
+
+    def switch_and_fall_silent(on: bool, cause: str) -> None:
+        switch(on, cause)
+        if on:
+            link._set_faults(replace(link._faults, silent=True))
+
+    supply._switch = switch_and_fall_silent  # type: ignore[method-assign]
+    with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
+        until(test.has_begun, "the recorder")
+        test.order("supply_on")
+        until(lambda: test.answers() == ["refused"], "the answer")
+        assert supply.on
+        assert "output may be ON" in alarm(test, "supply_switch_off_pending")
+        link.clear_faults()
+        until(lambda: not supply.on, "the switch-off")
+        until(lambda: test.alarms()["supply_switch_off_pending"].state != "unacknowledged", "its return")
+
+
+@pytest.mark.parametrize(
+    "successor", ["with another port", pytest.param("that reads nothing", marks=pytest.mark.slow)]
+)
+def test_a_successor_that_never_reaches_the_supply_leaves_it_off(test: Test, successor: str) -> None:
+    settings = test.settings(off_at_end=False)
+    test.run_switched_on(settings)
+    assert test.instruments.supply.on
+    wrong = (
+        {"line": {"port": "/dev/solimon-absent"}} if successor == "with another port" else {"identity": "NO"}
+    )
+    with test.recording(test.settings(off_at_end=False, **wrong)):
+        until(lambda: not test.instruments.supply.on, "the old process switches off")
+    assert test.switchings() == [True, False]
+
+
+def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
+    with energised(test):
+        os.mkfifo(test.folder / "drive.new")  # nothing reads it: each write of the state hangs
+        short = Cell(resistance_ohm=1.0)
+        test.instruments.supply_link.do(lambda: setattr(test.instruments.supply, "cell", short))
+        until(lambda: not test.instruments.supply.on, "the interlock")
+        assert "consecutive readings" in alarm(test, "interlock_tripped")
+
+
+def test_a_drive_that_stands_still_at_the_end_is_replaced_by_one_that_switches_off(test: Test) -> None:
+    with energised(test):
+        stopped = test.drive()
+        os.kill(stopped, signal.SIGSTOP)
+    until(lambda: not test.instruments.supply.on, "another process switches off")
+    assert test.switchings() == [True, False]
+
+
+@pytest.mark.slow
+def test_a_drive_that_stands_still_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+    line = line_of(test.instruments, reply_timeout_s=0.1)
+    with energised(test, line=line, read_timeout_s=1.0):
+        stopped = test.drive()
+        os.kill(stopped, signal.SIGSTOP)
+        test.order("supply_off")
+        until(lambda: test.drive() != stopped, "another process")
+        until(lambda: not test.instruments.supply.on, "the switch-off")
+        with open_catalogue(test.folder) as catalogue:
+            assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
+
+
+def test_a_supply_that_loses_its_power_after_the_end_keeps_no_process(test: Test) -> None:
+    test.run_switched_on(test.settings(unwatched_s=3.0))
+    test.instruments.supply_link.unplug()
+    until(test.drive_has_left, "the process of the drive has left")
+
+
+@pytest.mark.parametrize("kind", ["supply_deviation", "supply_above_cap"])
+def test_a_supply_away_from_its_command_is_an_alarm(test: Test, kind: str) -> None:
+    supply = test.instruments.supply
+    with energised(test, deviation_after_s=0.5):
+        if kind == "supply_deviation":
+            dry = Cell(resistance_ohm=1e9)
+            test.instruments.supply_link.do(lambda: setattr(supply, "cell", dry))
+        else:
+            test.instruments.supply_link.do(lambda: supply._set.update(VOLT=25.0))
+        message = alarm(test, kind)
+        assert ("10 V set" if kind == "supply_deviation" else "25 V is above the cap of 12 V") in message
+        assert supply.on is (kind == "supply_deviation")
 
 
 def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from hardware_drivers.measurement import SupplyReading
 
 
-class PlainSupply:
+class ScriptedSupply:
     """On or off, at 10 V; ``error`` is what it answers."""
 
     tripped_protections = ()
@@ -17,8 +17,7 @@ class PlainSupply:
     def __init__(self, clock: Any) -> None:
         self.clock = clock
         self.on = False
-        self.current_a = 0.2
-        self.set = {"set_voltage_v": 10.0, "set_current_limit_a": 1.0}
+        self.voltage_v, self.current_a = 10.0, 0.2
         self.error: Exception | None = None
         self.calls: list[str] = []
 
@@ -31,7 +30,7 @@ class PlainSupply:
         self._call("read")
         return SupplyReading(
             stamp=self.clock.stamp(),
-            voltage_v=10.0 if self.on else 0.0,
+            voltage_v=self.voltage_v if self.on else 0.0,
             current_a=self.current_a if self.on else 0.0,
             output_on=self.on,
         )
@@ -46,11 +45,3 @@ class PlainSupply:
 
     def identity(self) -> Mapping[str, str]:
         return {}
-
-
-class ScriptedSupply(PlainSupply):
-    """The same, and tells what is set."""
-
-    def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        self._call("read_back")
-        return {**self.set, "output": "on" if self.on else "off"}

@@ -121,6 +121,8 @@ def systemd_units(
             [],
             [
                 ("Type", "notify"),  # before the recorder looks whether it has to start one
+                ("NotifyAccess", "main"),
+                ("WatchdogSec", f"{math.ceil(answered_within_s(supply))}"),
                 # Told to end it switches off first, which the supply may keep waiting.
                 ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
                 # Also after it has handed over to one with another configuration.

@@ -15,7 +15,15 @@ from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, CommandRow, SetRow, VerdictRow, values
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    CommandRow,
+    EnvironmentRow,
+    SetRow,
+    VerdictRow,
+    values,
+)
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.errors import StorageError
 from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
@@ -63,6 +71,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "wall_age_s": fresh.wall_age_s,
                 "system_ahead_s": fresh.system_ahead_s,
                 "supply": supply,
+                "climate": _climate(catalogue.last_environment()),
                 "held": catalogue.held(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
@@ -93,7 +102,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
         recorder = look_at_recorder(folder, [])
         told_ns = time_now_ns(recorder.beat)
         nothing = dict.fromkeys(
-            ("now_h", "wall_age_s", "held", "counts", "next_due_h", "disk", "confirmations")
+            ("now_h", "wall_age_s", "climate", "held", "counts", "next_due_h", "disk", "confirmations")
         )
         return {
             "recorder": recorder.description,
@@ -107,6 +116,14 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
             "positions": {},
             "alarms": [],
         }
+
+
+def _climate(row: EnvironmentRow | None) -> dict[str, Any] | None:
+    """Return the climate of the newest set; None where there is no probe or no set yet."""
+    if row is None or row.climate_quality == "absent":
+        return None
+    names = ("climate_quality", "climate_age_s", "temperature_c", "relative_humidity")
+    return {name: getattr(row, name) for name in names}
 
 
 def _last_told(word: LastWord) -> dict[str, Any]:

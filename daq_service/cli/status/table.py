@@ -72,6 +72,12 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     if facts["supply"] is not None:
         good = facts["supply"]["quality"] == "good" and facts["supply"]["tripped"] is None
         yield "supply", facts["supply"]["description"], "" if good else "bold red"
+    if facts["climate"] is not None:
+        quality, air = facts["climate"]["climate_quality"], facts["climate"]
+        read = "never read"
+        if air["temperature_c"] is not None:
+            read = f"{air['temperature_c']:.1f} °C, {100.0 * air['relative_humidity']:.0f} %"
+        yield "climate", f"{read} ({quality})", "" if quality == "good" else "yellow"
     if facts["held"]:
         yield "on hold", f"{facts['held']}; nothing strikes until it is released", "yellow"
     for order in facts["orders"]:

@@ -7,6 +7,7 @@ import { chip } from "./icons.js";
 /** @type {Record<string, import("./icons.js").Look>} */
 const QUALITIES = {
   good: { word: "Good", icon: "check", tone: "good" },
+  suspect: { word: "Suspect", icon: "triangle", tone: "warn" },
   stale: { word: "Stale", icon: "triangle", tone: "warn" },
   lost: { word: "Lost", icon: "link", tone: "alarm" },
 };
@@ -31,8 +32,12 @@ function group(name, quality, age_s, values, since = "before") {
 
 /** The output at this moment, also while no recorder runs. @param {any} now */
 function supplyNow(now) {
-  const output = now.quality === "good" ? now.state : `${now.state}; ${now.last} when it was read last`;
-  return group("Supply now", now.quality, now.age_s, [["Output", now.tripped === null ? output : `${output}; switched off and kept off: ${now.tripped}`]], "ago");
+  const output = [
+    now.quality === "good" ? now.state : `${now.state}; ${now.last} when it was read last`,
+    ...(now.switch_off_pending ? ["switch-off pending, output may be ON"] : []),
+    ...(now.tripped === null ? [] : [`tripped: ${now.tripped}`]),
+  ].join("; ");
+  return group("Supply now", now.quality, now.age_s, [["Output", output]], "ago");
 }
 
 /** @param {HTMLElement} root @param {any} answer of /environment/latest */

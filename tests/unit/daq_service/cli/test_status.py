@@ -254,12 +254,12 @@ def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_
 
 def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
-    supply = {"quality": "good", "tripped": "a hole", "description": "off; switched off and kept off: a hole"}
+    supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
     lines = told({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
     assert line_of(lines, "LOST").startswith(
         "LOST  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
     )
-    assert line_of(lines, "supply") == "supply  off; switched off and kept off: a hole"
+    assert line_of(lines, "supply") == "supply  off; tripped: a hole"
 
 
 def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: Path) -> None:

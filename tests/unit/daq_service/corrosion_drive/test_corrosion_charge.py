@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.corrosion_drive.charge import Charge, DriveState, add_interval, elapsed_s, restored_state
+from daq_service.corrosion_drive.charge import (
+    Charge,
+    Command,
+    DriveState,
+    add_interval,
+    elapsed_s,
+    restored_state,
+)
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
@@ -113,13 +120,13 @@ def row(**changes):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({}, {"output_on": True, "booked_utc_ns": 96_000_000_000}),
-        ({"supply_state": "off"}, {"output_on": False, "booked_utc_ns": 96_000_000_000}),
-        ({"supply_state": "unknown"}, {"output_on": None, "booked_utc_ns": 96_000_000_000}),
-        ({"supply_tripped": "hole at B"}, {"output_on": True, "booked_utc_ns": 96_000_000_000}),
+        ({}, {"command": Command(), "booked_utc_ns": 96_000_000_000}),
+        ({"supply_state": "off"}, {"command": None, "booked_utc_ns": 96_000_000_000}),
+        ({"supply_state": "unknown"}, {"command": None, "booked_utc_ns": 96_000_000_000}),
+        ({"supply_tripped": "hole at B"}, {"command": None, "booked_utc_ns": 96_000_000_000}),
         # Longer than three intervals: the row counts that time as unknown already.
-        ({"supply_age_s": 31.0}, {"output_on": True, "booked_utc_ns": 100_000_000_000}),
-        ({"supply_age_s": None}, {"output_on": True, "booked_utc_ns": None}),
+        ({"supply_age_s": 31.0}, {"command": Command(), "booked_utc_ns": 100_000_000_000}),
+        ({"supply_age_s": None}, {"command": Command(), "booked_utc_ns": None}),
     ],
 )
 def test_a_restart_goes_on_from_the_newest_row(changes, expected):

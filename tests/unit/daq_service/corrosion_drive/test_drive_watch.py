@@ -28,6 +28,9 @@ class Supply:
             raise self.error
         self.on = False
 
+    def energise(self, voltage_v, current_limit_a):
+        self.on = True
+
 
 class NothingBefore:
     """A catalogue without a row of the drive."""
@@ -79,6 +82,8 @@ def test_a_standing_trip_keeps_the_interlock_open_after_a_restart(acknowledged):
 
 def test_an_alarm_is_stored_when_it_changes_and_once():
     watch, supply, stored = watched()
+    answer = watch.supply_on("Ada", 0.5, voltage_v=None, current_limit_a=None)
+    assert answer() == "the supply is on, read back as commanded"
     watch.tick(1.0)
     assert (supply.on, stored) == (True, [])
     watch.trip("hole at B", 1.5)

@@ -1,11 +1,11 @@
 """The corrosion drive on a scripted supply and a clock that the test moves."""
 
 import pytest
-from support.scripted_supply import PlainSupply, ScriptedSupply
+from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.corrosion_drive.charge import Charge, DriveState, restored_state
+from daq_service.corrosion_drive.charge import Command, DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
@@ -32,12 +32,15 @@ class ScriptedProbe:
         self.clock = clock
         self.error = None
         self.calls = 0
+        self.temperature_c = 21.5
 
     def read(self, timeout_s):
         self.calls += 1
         if self.error is not None:
             raise self.error
-        return ClimateReading(stamp=self.clock.stamp(), temperature_c=21.5, relative_humidity=0.4)
+        return ClimateReading(
+            stamp=self.clock.stamp(), temperature_c=self.temperature_c, relative_humidity=0.4
+        )
 
 
 LOST = ConnectionLostError("the supply at COM4 is gone")
@@ -93,8 +96,7 @@ def test_one_call_asks_the_supply_once_at_most():
         bench.climate.tick()
         total = calls
         bench.clock.advance(0.5)
-    assert bench.supply.calls.count("read") == 30
-    assert bench.supply.calls.count("read_back") == 1
+    assert bench.supply.calls == ["read"] * 30
     assert bench.probe.calls == 5
 
 
@@ -200,35 +202,6 @@ def test_time_without_readings_is_booked_once_and_not_integrated(energised):
     assert energised.summary()["charge_coulomb"] > charge_c
 
 
-def test_what_is_found_after_a_loss_is_read_back_and_reported(energised):
-    energised.supply.error = LOST
-    energised.run(50.0)
-    energised.supply.error = None
-    energised.supply.set = {"set_voltage_v": 9.0, "set_current_limit_a": 0.3}
-    energised.supply.calls.clear()
-    energised.run(INTERVAL_S)
-    assert energised.supply.calls == ["read", "read_back"]
-    assert energised.drive.found == {"set_voltage_v": 9.0, "set_current_limit_a": 0.3, "output": "on"}
-    energised.supply.current_a = 0.3
-    energised.run(INTERVAL_S)
-    assert energised.active() == {"supply_limit"}, "the limit found counts"
-
-
-def test_a_supply_that_cannot_tell_what_is_set_is_read_all_the_same(energised):
-    def refuses(timeout_s):
-        energised.supply.calls.append("read_back")
-        raise LOST
-
-    energised.supply.read_back = refuses
-    energised.supply.error = LOST
-    energised.run(INTERVAL_S)
-    energised.supply.error = None
-    energised.supply.calls.clear()
-    energised.run(60.0)
-    assert energised.supply.calls.count("read") == 6
-    assert energised.summary()["unknown_s"] == 0.0
-
-
 # Interlock -----------------------------------------------------------------------------------------
 
 
@@ -287,23 +260,7 @@ def test_over_current_trips_after_some_readings_in_a_row(energised):
     assert energised.supply.on, "a reading below starts the count anew"
     energised.run(INTERVAL_S)
     assert not energised.supply.on
-    assert "0.95 A in 3 readings" in energised.message("interlock_tripped")
-
-
-def test_a_trip_without_a_link_is_owed_and_paid_when_the_supply_answers(energised):
-    energised.supply.error = LOST
-    assert energised.drive.trip("hole at B") is False
-    assert energised.drive.output() == "unknown"
-    assert "could not be switched off yet" in energised.message("interlock_tripped")
-    energised.run(60.0)
-    assert energised.supply.on, "nobody can reach it"
-    assert energised.drive.output() == "unknown"
-    energised.supply.error = None
-    energised.supply.calls.clear()
-    energised.run(INTERVAL_S)
-    assert energised.supply.calls[0] == "make_safe"
-    assert not energised.supply.on
-    assert energised.message("interlock_tripped") == "hole at B"
+    assert "0.95 A in 3 consecutive readings" in energised.message("interlock_tripped")
 
 
 def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised):
@@ -316,35 +273,13 @@ def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised)
     assert energised.active() == set()
 
 
-def test_an_order_that_fails_leaves_what_is_found(energised):
-    def fails(voltage_v, current_limit_a):
-        energised.supply.on = False
-        raise ConfigurationError("it did not keep what was set; the output is off")
-
-    energised.supply.energise = fails
-    with pytest.raises(ConfigurationError):
-        energised.drive.energise("Ada")
-    energised.supply.calls.clear()
-    energised.run(INTERVAL_S)
-    assert energised.active() == set(), "the person who ordered knows that it is off"
-    assert energised.supply.calls == ["read", "read_back"]
-
-
-def test_owed_switching_off_is_tried_once_an_interval(energised):
-    energised.supply.error = LOST
-    energised.drive.trip("hole at B")
-    energised.supply.calls.clear()
-    energised.run(60.0)
-    assert energised.supply.calls == ["make_safe"] * 6
-
-
 def test_silence_trips_it_after_its_time_and_it_is_off_when_it_answers(energised):
     energised.supply.error = LOST
     energised.run(280.0)
     assert energised.drive.tripped is None
     energised.run(20.0)
     assert energised.drive.tripped.startswith("no answer from the supply for 30")
-    assert energised.active() == {"supply_lost", "interlock_tripped"}
+    assert energised.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
     energised.supply.error = None
     energised.run(INTERVAL_S)
     assert not energised.supply.on
@@ -367,24 +302,7 @@ def test_silence_of_a_supply_that_was_found_off_trips_nothing():
     assert bench.active() == {"supply_lost"}
 
 
-def test_an_output_switched_on_against_the_interlock_is_switched_off(energised):
-    energised.drive.trip("hole at B")
-    energised.supply.on = True
-    energised.run(INTERVAL_S)
-    assert not energised.supply.on
-
-
 # Conditions ----------------------------------------------------------------------------------------
-
-
-def test_off_without_an_order_is_told_with_its_cause_and_not_corrected(energised):
-    energised.supply.on = False
-    energised.supply.tripped_protections = ("VOLT:PROT:TRIP?",)
-    energised.supply.calls.clear()
-    energised.run(60.0)
-    assert energised.active() == {"supply_off_unexpectedly"}
-    assert "VOLT:PROT:TRIP?" in energised.message("supply_off_unexpectedly")
-    assert energised.supply.calls == ["read"] * 6
 
 
 def test_a_protection_that_is_not_told_is_not_ruled_out_as_the_cause(energised):
@@ -401,22 +319,10 @@ def test_off_by_order_is_no_alarm(energised):
     assert energised.drive.output() == "off"
 
 
-def test_on_at_the_front_panel_is_taken_as_wanted(energised):
-    energised.drive.switch_off("Ada")
-    energised.run(INTERVAL_S)
-    energised.supply.on = True
-    energised.run(INTERVAL_S)
-    assert energised.active() == set()
-    energised.supply.on = False
-    energised.run(INTERVAL_S)
-    assert energised.active() == {"supply_off_unexpectedly"}
-
-
 def test_at_the_limit_it_says_so():
     bench = Bench()
     bench.drive.energise("Ada", voltage_v=8.0, current_limit_a=0.5)
     assert bench.supply.calls == ["energise 8 V 0.5 A"]
-    bench.supply.set = {"set_voltage_v": 8.0, "set_current_limit_a": 0.5}
     bench.supply.current_a = 0.47
     bench.run(INTERVAL_S)
     assert bench.active() == set()
@@ -424,14 +330,6 @@ def test_at_the_limit_it_says_so():
     bench.run(INTERVAL_S)
     assert bench.active() == {"supply_limit"}
     assert "0.5 A" in bench.message("supply_limit")
-
-
-def test_a_supply_that_cannot_read_back_is_judged_by_the_order():
-    bench = Bench(kind=PlainSupply)
-    bench.drive.energise("Ada", current_limit_a=0.5)
-    bench.supply.current_a = 0.5
-    bench.run(INTERVAL_S)
-    assert bench.active() == {"supply_limit"}
 
 
 # Restart -------------------------------------------------------------------------------------------
@@ -447,29 +345,176 @@ def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energi
     after = bench.summary()
     assert after["charge_coulomb"] == row.charge_coulomb
     assert after["unknown_s"] == pytest.approx(row.unknown_s + 1000.0 + row.supply_age_s, abs=1.0)
-    assert bench.supply.calls == ["read", "read_back"]
+    assert bench.supply.calls == ["read"]
     assert bench.active() == set()
     bench.run(INTERVAL_S)
     assert bench.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
 
 
-def test_a_supply_that_is_off_after_a_restart_is_told_and_stays_off():
-    bench = Bench(DriveState(output_on=True))
-    bench.run(60.0)
-    assert bench.active() == {"supply_off_unexpectedly"}
-    assert set(bench.supply.calls) == {"read", "read_back"}
-
-
 def test_a_trip_outlives_a_restart():
-    bench = Bench(DriveState(tripped="hole at B", output_on=False), on=True)
+    bench = Bench(DriveState(tripped="hole at B"), on=True)
     bench.run(INTERVAL_S)
     assert not bench.supply.on
-    assert bench.active() == {"interlock_tripped"}
+    assert bench.active() == {"interlock_tripped", "supply_on_unexpectedly"}
     bench.drive.energise("Ada")
     assert bench.supply.on
+    assert bench.active() == set()
 
 
-def test_silence_from_the_start_trips_what_may_be_on():
-    bench = Bench(DriveState(charge=Charge(coulomb=1.0), output_on=None), error=LOST)
+# Commands are latched ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("off", ["command", "trip", "first start"])
+def test_an_output_found_on_without_a_command_is_switched_off_and_an_alarm(off):
+    bench = Bench()
+    if off != "first start":
+        bench.drive.energise("Ada")
+        bench.run(INTERVAL_S)
+    if off == "command":
+        bench.drive.switch_off("Ada")
+    elif off == "trip":
+        bench.drive.trip("hole at B")
+    bench.run(3600.0)
+    assert "supply_on_unexpectedly" not in bench.active()
+    bench.supply.on = True  # mains return, front panel, another program
+    bench.run(INTERVAL_S)
+    assert not bench.supply.on
+    assert "supply_on_unexpectedly" in bench.active()
+    assert "solimon supply --on" in bench.message("supply_on_unexpectedly")
+    bench.run(60.0)
+    assert "supply_on_unexpectedly" in bench.active(), "it stays until the next command"
+    bench.drive.switch_off("Ada")
+    assert "supply_on_unexpectedly" not in bench.active()
+
+
+def test_an_unexpected_off_ends_the_command(energised):
+    energised.supply.on = False
+    energised.supply.tripped_protections = ("VOLT:PROT:TRIP?",)
+    energised.supply.calls.clear()
+    energised.run(60.0)
+    assert energised.active() == {"supply_off_unexpectedly"}
+    assert "VOLT:PROT:TRIP?" in energised.message("supply_off_unexpectedly")
+    assert energised.supply.calls == ["read"] * 6, "nothing is corrected"
+    energised.supply.on = True  # it returns by itself
+    energised.run(INTERVAL_S)
+    assert not energised.supply.on
+    assert energised.active() == {"supply_off_unexpectedly", "supply_on_unexpectedly"}
+    energised.drive.energise("Ada")
+    energised.run(INTERVAL_S)
+    assert (energised.active(), energised.supply.on) == (set(), True)
+
+
+def test_after_a_failed_command_on_it_switches_off_until_the_output_reads_off():
+    bench = Bench()
+    bench.run(INTERVAL_S)
+    energise = bench.supply.energise
+
+    def reaches_it_then_the_link_dies(voltage_v, current_limit_a):
+        energise(voltage_v, current_limit_a)
+        bench.supply.error = LOST
+        raise LOST
+
+    bench.supply.energise = reaches_it_then_the_link_dies
+    with pytest.raises(ConnectionLostError, match="switch-off pending, the output may be ON"):
+        bench.drive.energise("Ada")
+    bench.run(15.0)
+    assert bench.supply.on, "it cannot be reached"
+    assert "supply_switch_off_pending" in bench.active()
+    assert "by hand immediately" in bench.message("supply_switch_off_pending")
+    bench.supply.error = None
+    bench.run(INTERVAL_S)
+    assert not bench.supply.on
+    assert bench.active() == set()
+
+
+def test_a_pending_switch_off_is_tried_more_often_than_readings(energised):
+    energised.supply.error = LOST
+    energised.drive.trip("hole at B")
+    energised.supply.calls.clear()
+    energised.run(60.0)
+    assert energised.supply.calls == ["make_safe"] * 12
+
+
+@pytest.mark.parametrize(("voltage_v", "limit_a"), [(12.1, 1.0), (10.0, 2.1), (0.0, 1.0)])
+def test_a_command_above_a_cap_is_rejected_and_changes_nothing(energised, voltage_v, limit_a):
+    energised.supply.calls.clear()
+    with pytest.raises(ConfigurationError, match="nothing was sent"):
+        energised.drive.energise("Ada", voltage_v=voltage_v, current_limit_a=limit_a)
+    energised.run(60.0)
+    assert energised.supply.calls == ["read"] * 6
+    assert energised.supply.on
+    assert energised.active() == set()
+
+
+def test_a_restart_restores_the_command_and_its_limit():
+    bench = Bench(DriveState(command=Command(voltage_v=10.0, current_limit_a=0.2)), on=True)
+    bench.run(INTERVAL_S)
+    assert bench.active() == {"supply_limit"}
+    bench = Bench(DriveState(command=Command()))
+    bench.run(60.0)
+    assert bench.active() == {"supply_off_unexpectedly"}
+    assert set(bench.supply.calls) == {"read"}
+
+
+def test_silence_from_the_start_trips_what_was_commanded_on():
+    bench = Bench(DriveState(command=Command()), error=LOST)
     bench.run(350.0)
-    assert bench.active() == {"supply_lost", "interlock_tripped"}
+    assert bench.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
+
+
+# Deviations ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("voltage_v", "current_a", "active"),
+    [
+        (10.0, 0.0, {"supply_deviation"}),  # a lead is off, the bath is dry
+        (3.0, 0.2, {"supply_deviation"}),
+        (10.2, 0.2, {"supply_deviation"}),
+        (3.0, 0.5, {"supply_limit"}),
+        (10.0, 0.2, set()),
+        (9.96, 0.003, set()),
+    ],
+)
+def test_voltage_or_current_away_from_the_command_for_minutes(voltage_v, current_a, active):
+    bench = Bench()
+    bench.drive.energise("Ada", current_limit_a=0.5)
+    bench.supply.voltage_v, bench.supply.current_a = voltage_v, current_a
+    bench.run(PARAMETERS.deviation_after_s - INTERVAL_S)
+    assert bench.active() <= {"supply_limit"}
+    bench.run(3 * INTERVAL_S)
+    assert bench.active() == active
+    assert bench.supply.on, "nothing is switched"
+    bench.supply.voltage_v, bench.supply.current_a = 10.0, 0.2
+    bench.run(INTERVAL_S)
+    assert bench.active() == set()
+
+
+@pytest.mark.parametrize(
+    ("voltage_v", "current_a", "reason"),
+    [(25.0, 0.2, "25 V is above the cap of 12 V"), (10.0, 2.5, "2.5 A is above the cap of 2 A")],
+)
+def test_above_the_cap_the_output_is_off_at_once(energised, voltage_v, current_a, reason):
+    energised.supply.voltage_v, energised.supply.current_a = voltage_v, current_a
+    energised.run(INTERVAL_S)
+    assert not energised.supply.on
+    assert energised.active() == {"supply_above_cap", "interlock_tripped"}
+    assert energised.message("interlock_tripped") == reason
+
+
+# Climate -------------------------------------------------------------------------------------------
+
+
+def test_a_probe_that_dies_is_not_responding_and_one_that_repeats_itself_is_suspect():
+    bench = Bench()
+    bench.run(CLIMATE.suspect_after_s - 60.0)
+    assert (bench.climate.quality(), bench.climate.not_responding()) == ("good", "")
+    bench.run(120.0)
+    assert bench.summary()["climate_quality"] == "suspect"
+    bench.probe.temperature_c = 21.6
+    bench.run(60.0)
+    assert bench.climate.quality() == "good"
+    bench.probe.error = ConnectionLostError("probe gone")
+    bench.run(300.0)
+    assert bench.climate.not_responding().startswith("Climate probe not responding. No reading for")
+    assert "probe gone" in bench.climate.not_responding()

@@ -1,6 +1,7 @@
 """The process of the drive on a scripted supply and a clock that the test moves: also when nobody asks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,9 @@ from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
-from daq_service.corrosion_drive.charge import Charge, DriveState
+from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.kept import kept_now, look_at_drive, read_kept, write_kept
-from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, what_now
+from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
@@ -42,12 +43,34 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.clock = folder, UtcSteps()
+        self.locks = self.ports = 0
         self.supply = ScriptedSupply(self.clock)
         self.restart()
 
     def restart(self, **options: Any) -> None:
         """Kill the process and start another one."""
-        self.process = DriveProcess(self.supply, PARAMETERS, self.folder, clock=self.clock, **options)
+        self.process = self.another(**options)
+
+    def another(self, **options: Any) -> DriveProcess:
+        return DriveProcess(
+            self.lock, self.port, PARAMETERS, self.folder, supply_port="COM4", clock=self.clock, **options
+        )
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        self.locks += 1
+        try:
+            yield
+        finally:
+            self.locks -= 1
+
+    @contextmanager
+    def port(self) -> Iterator[ScriptedSupply]:
+        self.ports += 1
+        try:
+            yield self.supply
+        finally:
+            self.ports -= 1
 
     def ask(self, do: str = "look", **values: Any) -> dict[str, Any]:
         return dict(self.process.answer({"id": 1, "do": do, **values}))
@@ -77,32 +100,29 @@ def bench(tmp_path: Path) -> Bench:
 
 
 @pytest.mark.parametrize(
-    ("facts", "verdict"),
+    ("facts", "action"),
     [
         ({}, "stay"),
         ({"silent_s": 599.9}, "stay"),
         ({"silent_s": 600.0}, "switch off"),
-        ({"silent_s": 600.0, "output": "unknown"}, "switch off"),
-        ({"silent_s": 900.0, "output": "unknown", "off_for_good": True}, "stay"),  # it is owed
-        ({"silent_s": 900.0, "output": "off", "owes": True, "off_for_good": True}, "stay"),
-        ({"output": "off"}, "stay"),
-        ({"alone_s": 10.0, "output": "off"}, "leave"),
-        ({"silent_s": 900.0, "output": "off"}, "stay"),  # just begun: whoever started it will ask
-        ({"alone_s": 10.0, "output": "off", "stays": True}, "stay"),
-        ({"alone_s": 2.0, "output": "off", "unwatched_s": 2.0}, "leave"),
+        ({"silent_s": 900.0, "commanded": False, "pending": True, "alone_s": 900.0}, "stay"),
+        ({"commanded": False}, "stay"),
+        ({"commanded": False, "alone_s": 10.0}, "leave"),
+        ({"commanded": False, "silent_s": 900.0}, "stay"),  # just started: its recorder will ask
+        ({"commanded": False, "alone_s": 10.0, "stays": True}, "stay"),
+        ({"commanded": False, "alone_s": 2.0, "unwatched_s": 2.0}, "leave"),
     ],
 )
-def test_what_it_does_now(facts: dict[str, Any], verdict: str) -> None:
-    usual = {
+def test_the_next_action(facts: dict[str, Any], action: str) -> None:
+    usual: dict[str, Any] = {
         "silent_s": 0.0,
         "alone_s": 0.0,
         "unwatched_s": UNWATCHED_S,
-        "output": "on",
-        "owes": False,
-        "off_for_good": False,
+        "commanded": True,
+        "pending": False,
         "stays": False,
     }
-    assert what_now(**{**usual, **facts}) == verdict
+    assert next_action(**{**usual, **facts}) == action
 
 
 def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench) -> None:
@@ -114,9 +134,9 @@ def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench
     assert bench.process.leaves
     kept = read_kept(bench.folder)
     assert kept is not None
-    assert (kept.output, kept.state.unwatched, kept.state.output_on) == ("off", True, False)
+    assert (kept.output, kept.state.command) == ("off", None)
     assert kept.state.tripped is not None
-    assert kept.state.tripped.startswith("nobody watched: no recorder was heard for 600 s")
+    assert kept.state.tripped.startswith("no recorder was heard for 600 s")
     # The next recorder finds it in the next process, and only a person's order ends it.
     bench.restart()
     bench.run(5.0)
@@ -151,10 +171,19 @@ def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(b
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
     assert look_at_drive(bench.folder).state == "unknown"  # type: ignore[union-attr]
+    assert look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
     bench.supply.error = None
     bench.run(60.0)
     assert not bench.supply.on
     assert bench.process.leaves
+    assert not look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
+
+
+def test_a_supply_that_loses_its_power_after_it_was_switched_off_keeps_no_process(bench: Bench) -> None:
+    bench.ask("switch off", author="the end of the test")
+    bench.supply.error = LOST
+    bench.run(30.0)
+    assert bench.process.leaves, "62 min were seen"
 
 
 def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
@@ -199,11 +228,73 @@ def test_an_order_that_comes_too_late_is_refused(bench: Bench) -> None:
     assert not bench.supply.on
 
 
-def test_handing_over_switches_nothing_and_obeys_nothing_more(bench: Bench) -> None:
-    bench.ask("switch off", author="Ada")
-    bench.ask("hand over", why="another configuration")
-    assert "error" in bench.ask(**ON)
-    assert bench.process.leaves
+# Hand-over ----------------------------------------------------------------------------------------
+
+
+def hand_over(bench: Bench, port: str = "COM4") -> None:
+    bench.ask("hand over", why="another configuration", supply_port=port)
+    bench.process.step()
+
+
+def test_handing_over_releases_port_and_lock_and_stays_until_the_successor_has_read(bench: Bench) -> None:
+    hand_over(bench)
+    assert (bench.locks, bench.ports) == (0, 0)
+    assert "released" in bench.ask(**ON)
+    old = bench.process
+    bench.restart()  # the successor
+    bench.run(5.0)
+    old.step()
+    old.step()
+    assert old.leaves
+    assert bench.supply.on
+    assert bench.ask()["commanded"], "the command is still in force"
+    assert "make_safe" not in bench.supply.calls
+
+
+@pytest.mark.parametrize("successor", ["none", "with another port", "without rights"])
+def test_without_a_successor_that_reads_it_switches_off_itself(bench: Bench, successor: str) -> None:
+    hand_over(bench)
+    old = bench.process
+    if successor != "none":
+        supply, bench.supply = bench.supply, ScriptedSupply(bench.clock)
+        bench.supply.error = LOST
+        bench.restart()
+        bench.supply, new = supply, bench.process
+        for _ in range(30):
+            new.step()
+            bench.clock.advance(0.1)
+    bench.process = old
+    bench.run(8.0, step_s=1.0)
+    assert bench.supply.on is (successor == "none")
+    bench.run(6.0, step_s=1.0)
+    assert not bench.supply.on
+    assert old.leaves
+
+
+def test_a_supply_that_does_not_answer_is_switched_off_after_the_hand_over_when_it_does(bench: Bench) -> None:
+    hand_over(bench)
+    bench.supply.error = LOST
+    bench.run(UNWATCHED_S)
+    assert not bench.process.leaves
+    bench.supply.error = None
+    bench.run(10.0)
+    assert (bench.process.leaves, bench.supply.on, bench.ports) == (True, False, 0)
+
+
+def test_before_a_successor_with_another_port_it_switches_off(bench: Bench) -> None:
+    bench.supply.error = LOST
+    hand_over(bench, "COM5")
+    bench.run(30.0)
+    assert bench.ports == 1, "not released while the output may be on"
+    assert "supply_switch_off_pending" in bench.active()
+    bench.supply.error = None
+    bench.run(30.0, step_s=1.0)
+    assert (bench.ports, bench.supply.on) == (0, False)
+
+
+def test_stopped_while_it_waits_for_a_successor_it_switches_off(bench: Bench) -> None:
+    hand_over(bench)
+    bench.process.end()
     assert not bench.supply.on
 
 
@@ -224,12 +315,36 @@ def test_a_disk_that_takes_nothing_keeps_it_from_nothing(
     assert not bench.supply.on
 
 
+def test_a_disk_that_hangs_delays_neither_interlock_nor_unwatched_limit(tmp_path: Path) -> None:
+    bench, jobs = Bench(tmp_path), list[Callable[[], None]]()
+    bench.restart(jobs=jobs.append)  # none of them ever ends
+    bench.ask(**ON)
+    bench.supply.current_a = 0.95
+    bench.run(40.0)
+    assert not bench.supply.on, "a short circuit"
+    bench.supply.current_a = 0.2
+    bench.ask(**ON)
+    bench.run(UNWATCHED_S + 10.0)
+    assert not bench.supply.on
+    assert (len(jobs) > 1, read_kept(tmp_path)) == (True, None)
+
+
+def test_the_age_of_the_written_state_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    bench.process.keep(at_once=True)
+    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_kept", full)
+    bench.run(50.0)
+    assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
+
+
 def test_told_to_end_it_switches_off(bench: Bench) -> None:
     bench.process.end()
     assert not bench.supply.on
     kept = read_kept(bench.folder)
     assert kept is not None
-    assert kept.state.tripped == "the process of the drive was told to end, and nobody else watches"
+    assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
 
 
 def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:
@@ -242,14 +357,58 @@ def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:
 def test_a_supply_that_was_never_met_is_given_up(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.supply.error = LOST
-    bench.run(UNWATCHED_S - 10.0)
-    assert not bench.process.leaves
     bench.run(60.0)
     assert bench.process.leaves
 
 
+@pytest.mark.parametrize("content", ["", "{}", "[]", '{"state": {"charge": 7}}'])
+def test_a_state_that_cannot_be_read_counts_as_on(tmp_path: Path, content: str) -> None:
+    (tmp_path / DRIVE_FILE).write_text(content, encoding="utf-8")
+    now = look_at_drive(tmp_path)
+    assert (now is not None, now and now.switch_off_pending, now and now.state) == (True, True, "unknown")
+    bench = Bench(tmp_path)
+    bench.supply.on, bench.supply.error = True, LOST
+    bench.run(2 * UNWATCHED_S)
+    assert not bench.process.leaves
+    bench.supply.error = None
+    bench.run(10.0)
+    assert not bench.supply.on
+
+
+@pytest.mark.parametrize(("away_s", "on"), [(UNWATCHED_S - 10.0, True), (UNWATCHED_S + 10.0, False)])
+def test_a_command_ends_when_no_process_ran_for_the_unwatched_limit(
+    bench: Bench, away_s: float, on: bool
+) -> None:
+    bench.process.keep(at_once=True)
+    bench.clock.advance(away_s)
+    bench.restart()
+    bench.run(10.0)
+    assert bench.supply.on is on
+    assert ("supply_on_unexpectedly" in bench.active()) is not on
+
+
+def test_a_command_ends_with_its_boot(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq_service.corrosion_drive.own_process.boot_name", lambda: "another")
+    bench.restart()
+    bench.run(10.0)
+    assert not bench.supply.on
+    assert "supply_on_unexpectedly" in bench.active()
+
+
+def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
+    state = '{"charge": {"coulomb": 1.5, "unknown_s": 0.0}, "tripped": "hole", "unwatched": true, '
+    state += '"output_on": %s, "booked_utc_ns": 5}'
+    rest = '"output": "off", "age_s": 1.0, "utc_ns": 1, "boot_ns": 1, "boot_id": "b", "heard_boot_ns": 1'
+    for output_on, command in (("true", Command()), ("false", None), ("null", None)):
+        (tmp_path / DRIVE_FILE).write_text(f'{{"state": {state % output_on}, {rest}}}', encoding="utf-8")
+        kept = read_kept(tmp_path)
+        assert kept is not None
+        assert kept.state.command == command
+        assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_unwatched"})
+
+
 def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
-    write_kept(tmp_path, kept_now(DriveState(output_on=True), heard_boot_ns=0))
+    write_kept(tmp_path, kept_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18))
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(2 * UNWATCHED_S)
@@ -260,20 +419,16 @@ def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
 
 
 def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
-    state = DriveState(charge=Charge(coulomb=1.5), tripped="hole", unwatched=True, output_on=False)
+    state = DriveState(
+        charge=Charge(coulomb=1.5),
+        tripped="hole",
+        latched=frozenset({"a", "b"}),
+        command=Command(voltage_v=5.0),
+    )
     kept = kept_now(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
     write_kept(tmp_path, kept)
     assert read_kept(tmp_path) == kept
     assert read_kept(tmp_path / "absent") is None
-
-
-@pytest.mark.parametrize("content", ["", "{}", "[]", '{"state": {"charge": 7}}', '{"state": {"chargE": {}}}'])
-def test_what_is_torn_or_foreign_counts_as_nothing(
-    tmp_path: Path, content: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / DRIVE_FILE).write_text(content, encoding="utf-8")
-    assert read_kept(tmp_path) is None
-    assert "cannot be read" in caplog.text
 
 
 def moved(kept: Any, **changes: Any) -> Any:

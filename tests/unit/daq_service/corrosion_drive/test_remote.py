@@ -2,7 +2,7 @@
 
 import socket
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +11,20 @@ from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.corrosion_drive.channel import HOST, Server, opened, sealed
-from daq_service.corrosion_drive.charge import Charge, DriveState
-from daq_service.corrosion_drive.kept import Address, own_drive, read_kept
+from daq_service.corrosion_drive.charge import Charge, Command, DriveState
+from daq_service.corrosion_drive.drive import Reply
+from daq_service.corrosion_drive.guard import DriveGuard
+from daq_service.corrosion_drive.kept import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
-from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
-from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+from daq_service.corrosion_drive.remote import COMES_WITHIN_S, ENDS_WITHIN_S, RemoteDrive, answered_within_s
+from daq_service.processes.data_folder import DRIVE_FILE
+from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 KEY = b"k" * 32
 PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0)
 PATIENCE = 2000
+ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
 
 
 class Child:
@@ -37,7 +41,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.now_s = folder, 0.0
-        self.child, self.started = Child(), 0
+        self.child, self.started, self.killed = Child(), 0, 0
         self.supply = ScriptedSupply(TestClock())
         self.process: DriveProcess | None = None
         self.server: Server | None = None
@@ -46,8 +50,10 @@ class Bench:
             PARAMETERS,
             folder,
             self.start,  # type: ignore[arg-type]
+            supply_port="COM4",
             mono_s=lambda: self.now_s,
             pause=self.pause,
+            kill=self.is_killed,
         )
 
     def start(self) -> Child:
@@ -58,10 +64,17 @@ class Bench:
         """Let the process begin."""
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
-        self.life.enter_context(own_drive(self.folder, address))
-        self.process = DriveProcess(self.supply, PARAMETERS, self.folder)
+        self.process = DriveProcess(
+            lambda: own_drive(self.folder, address),
+            lambda: nullcontext(self.supply),
+            PARAMETERS,
+            self.folder,
+            supply_port="COM4",
+        )
+        self.life.callback(self.process.close)
 
-    def is_killed(self) -> None:
+    def is_killed(self, process: int = 0) -> None:
+        self.killed += 1
         self.life.close()
         self.server = self.process = None
 
@@ -81,6 +94,15 @@ class Bench:
                 return
         pytest.fail(f"never told: {row}, but {told}")
 
+    def answer(self, reply: Reply, *, step_s: float = 0.01) -> str:
+        """Tick until there is an answer; its error."""
+        for _ in range(PATIENCE):
+            if reply.done or reply.error:
+                return reply.error
+            self.pause(step_s)
+            self.remote.tick()
+        pytest.fail("never answered")
+
     def active(self) -> dict[str, str]:
         return {found.name: found.message for found in self.remote.conditions() if found.active}
 
@@ -94,24 +116,34 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.is_killed()
 
 
-def test_orders_go_through_and_their_answers_come_back(bench: Bench) -> None:
+def test_commands_go_through_and_their_answers_come_back(bench: Bench) -> None:
     bench.comes_up()
-    bench.remote.energise("Ada", voltage_v=5.0)
+    assert bench.answer(bench.remote.energise("Ada", voltage_v=5.0)) == ""
     assert bench.supply.on
     assert "energise 5 V 1 A" in bench.supply.calls
     bench.until_told(supply_state="on", supply_quality="good")
     assert bench.active() == {}
-    assert bench.remote.trip("hole at B") is True
-    assert not bench.supply.on
+    bench.remote.trip("hole at B")
     bench.until_told(supply_tripped="hole at B", supply_state="off")
+    assert not bench.supply.on
     assert "interlock_tripped" in bench.active()
+
+
+def test_a_command_does_not_wait_for_its_answer(bench: Bench) -> None:
+    bench.comes_up()
+    bench.until_told(supply_quality="good")
+    bench.process = None  # it stands still
+    before_s = bench.now_s
+    reply = bench.remote.energise("Ada")
+    bench.remote.switch_off("Ada")
+    bench.remote.trip("hole at B")
+    assert (reply.done, reply.error, bench.now_s) == (False, "", before_s)
 
 
 def test_a_refusal_is_an_error_with_its_reason(bench: Bench) -> None:
     bench.comes_up()
     bench.supply.error = ConnectionLostError("the supply does not answer")
-    with pytest.raises(ConfigurationError, match="the supply does not answer"):
-        bench.remote.energise("Ada")
+    assert "the supply does not answer" in bench.answer(bench.remote.energise("Ada"))
 
 
 def test_where_nobody_is_a_process_is_started_and_again_ever_later(bench: Bench) -> None:
@@ -133,12 +165,12 @@ def test_before_the_first_answer_nothing_is_known_and_after_a_while_that_is_an_a
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
     assert bench.active() == {}
     bench.now_s += COMES_WITHIN_S
-    assert "the process of the drive does not answer" in bench.active()["supply_lost"]
+    assert "Its process has not answered" in bench.active()["supply_lost"]
 
 
 def test_a_process_that_is_gone_is_unknown_at_once_with_its_age(bench: Bench) -> None:
     bench.comes_up()
-    bench.remote.energise("Ada")
+    bench.answer(bench.remote.energise("Ada"))
     bench.until_told(supply_state="on")
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
@@ -149,66 +181,211 @@ def test_a_process_that_is_gone_is_unknown_at_once_with_its_age(bench: Bench) ->
     assert row.supply_age_s is not None
     assert row.supply_age_s >= 100.0
     assert (row.unknown_s or 0.0) - unknown_s >= 100.0
-    with pytest.raises(ConnectionLostError, match="nothing was sent to it"):
-        bench.remote.energise("Ada")
+    assert "nothing was sent to it" in bench.answer(bench.remote.energise("Ada"), step_s=1.0)
     bench.comes_up()
     bench.until_told(supply_state="on")
     assert bench.active() == {}
 
 
-def test_an_interlock_that_nobody_heard_is_told_first_when_the_process_is_back(bench: Bench) -> None:
+def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench: Bench) -> None:
     bench.comes_up()
-    bench.remote.energise("Ada")
+    bench.answer(bench.remote.energise("Ada"))
     bench.is_killed()
-    assert bench.remote.trip("hole at B") is False
+    bench.remote.trip("hole at B")
+    bench.remote.tick()
     assert bench.remote.row(0, 0.0).supply_tripped == "hole at B"
     assert bench.supply.on
+    assert {"interlock_tripped", "supply_switch_off_pending"} <= bench.active().keys()
     bench.comes_up()
     bench.until_told(supply_state="off", supply_tripped="hole at B")
     assert not bench.supply.on
+    assert list(bench.active()) == ["interlock_tripped"]
 
 
-def test_a_process_that_stands_still_is_waited_for_no_longer_than_it_may_take(bench: Bench) -> None:
+@pytest.mark.parametrize("command", ["energise", "switch_off"])
+def test_a_process_that_stands_still_is_killed_and_the_output_switched_off(
+    bench: Bench, command: str
+) -> None:
     bench.comes_up()
-    bench.until_told(supply_quality="good")
-    bench.process = None  # it hears nothing more
+    bench.answer(bench.remote.energise("Ada"))
+    bench.process = None  # it stands still
+    reply = getattr(bench.remote, command)("Ada")
+    assert "what the output does is unknown" in bench.answer(reply, step_s=1.0)
+    assert bench.killed == 1
+    assert bench.now_s <= answered_within_s(PARAMETERS) + 3.0
+    assert "supply_switch_off_pending" in bench.active()
     bench.remote.tick()
-    before_s = bench.now_s
-    with pytest.raises(ConnectionLostError):
-        bench.remote.energise("Ada")
-    assert bench.now_s - before_s <= COMES_WITHIN_S + answered_within_s(PARAMETERS) + 1.0
+    assert bench.started == 1, "another one"
+    bench.comes_up()
+    bench.until_told(supply_state="off")
+    assert not bench.supply.on
+    assert bench.active() == {}
+
+
+def test_a_stalled_process_is_replaced_also_without_a_command(bench: Bench) -> None:
+    bench.comes_up()
+    bench.answer(bench.remote.energise("Ada"))
+    bench.process = None
+    for _ in range(round(answered_within_s(PARAMETERS)) + 3):
+        bench.now_s += 1.0
+        bench.remote.tick()
+    assert bench.killed == 1
+    bench.comes_up()
+    bench.until_told(supply_state="on")
+    assert bench.supply.on, "the command is still in force"
+
+
+def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(bench: Bench) -> None:
+    bench.comes_up(agreed="another")
+    bench.supply.error = ConnectionLostError("gone")
+    bench.remote.tick()
+    bench.pause(0.01)
+    bench.supply.error = None
+    for _ in range(PATIENCE):
+        bench.remote.tick()
+        if bench.started:
+            break
+        bench.pause(0.01)
+    assert bench.started == 1, "the lock is free for the successor"
+    assert bench.process is not None
+    assert not bench.process.leaves, "the old one waits for it"
+
+
+def test_a_process_that_kept_an_old_command_learns_that_it_has_ended(bench: Bench) -> None:
+    bench.comes_up()
+    bench.answer(bench.remote.energise("Ada"))
+    old = (bench.folder / "drive.json").read_bytes()
+    bench.answer(bench.remote.switch_off("Ada"))
+    bench.is_killed()
+    (bench.folder / "drive.json").write_bytes(old)  # the disk had not taken more
+    bench.supply.on = True  # at the front panel
+    bench.comes_up()
+    bench.until_told(supply_state="off")
     assert not bench.supply.on
 
 
-def test_an_order_that_is_not_answered_is_unknown_and_not_repeated(bench: Bench) -> None:
+@pytest.mark.parametrize("process", ["stands still", "is gone"])
+def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switches_off(
+    bench: Bench, process: str
+) -> None:
+    bench.comes_up()
+    bench.answer(bench.remote.energise("Ada"))
+    if process == "is gone":
+        bench.is_killed()
+    else:
+        bench.process = None
+    before_s = bench.now_s
+    with pytest.raises(ConnectionLostError, match="another one switches off"):
+        bench.remote.switch_off_at_end()
+    assert bench.now_s - before_s <= ENDS_WITHIN_S + 0.1
+    assert (bench.killed, bench.process) == (1, None)
+    bench.comes_up()
+    assert bench.process is not None
+    bench.process.step()
+    assert not bench.supply.on
+
+
+def test_at_the_end_the_supply_is_off(bench: Bench) -> None:
+    bench.comes_up()
+    bench.answer(bench.remote.energise("Ada"))
+    bench.remote.switch_off_at_end()
+    assert not bench.supply.on
+
+
+def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_switch_off(bench: Bench) -> None:
     bench.comes_up()
     bench.until_told(supply_quality="good")
     asleep, bench.process = bench.process, None
-    with pytest.raises(ConnectionLostError, match="look before the order is given again"):
-        bench.remote._order("energise", author="Ada", voltage_v=None, current_limit_a=None)
+    bench.remote.energise("Ada")
+    bench.remote.__exit__()
     bench.process = asleep
-    assert asleep is not None
-    for _ in range(50):
-        bench.remote.tick()
+    for _ in range(10):
         bench.pause(0.01)
-    assert sum(call.startswith("energise") for call in bench.supply.calls) <= 1
+    assert "energise 10 V 1 A" in bench.supply.calls
+    assert not bench.supply.on
 
 
-def test_a_process_of_another_configuration_is_asked_to_hand_over_and_never_obeyed(bench: Bench) -> None:
-    bench.comes_up(agreed="another")
-    for _ in range(PATIENCE):
-        bench.remote.tick()
-        bench.pause(0.01)
-        if bench.process is not None and bench.process.leaves:
-            break
-    assert bench.process is not None
-    assert bench.process.leaves
-    assert bench.remote.row(0, 0.0).supply_state == "unknown"
+# The guard of a supervisor --------------------------------------------------------------------------
+
+
+class Guarded(Bench):
+    """A bench whose remote drive does not watch."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.remote = RemoteDrive(
+            PARAMETERS,
+            folder,
+            self.start,  # type: ignore[arg-type]
+            watches=False,
+            mono_s=lambda: self.now_s,
+            kill=self.is_killed,
+        )
+        self.guard = DriveGuard(folder, self.remote, check_every_s=600.0, mono_s=lambda: self.now_s)
+
+    def look(self, seconds: float) -> None:
+        for _ in range(round(seconds)):
+            self.guard.look()
+            self.pause(0.0)
+            self.now_s += 1.0
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Iterator[Guarded]:
+    guarded = Guarded(tmp_path)
+    with guarded.remote:
+        yield guarded
+    guarded.is_killed()
+
+
+@pytest.mark.parametrize(
+    ("content", "starts"),
+    [
+        (None, 0),
+        (b"{torn", 1),
+        (kept_now(DriveState(command=Command()), output="on"), 1),
+        (kept_now(DriveState(must_switch_off=True), output="unknown"), 1),
+        (kept_now(DriveState(), output="off"), 0),
+    ],
+    ids=["never", "unreadable", "on", "pending", "off"],
+)
+def test_the_guard_starts_a_process_where_the_output_may_be_on(
+    guarded: Guarded, content: Kept | bytes | None, starts: int
+) -> None:
+    if isinstance(content, bytes):
+        (guarded.folder / DRIVE_FILE).write_bytes(content)
+    elif content is not None:
+        write_kept(guarded.folder, content)
+    guarded.look(20.0)
+    assert guarded.started == starts
+
+
+def test_the_guard_looks_again_at_an_output_that_was_off(guarded: Guarded) -> None:
+    write_kept(guarded.folder, kept_now(DriveState(), output="off"))
+    guarded.look(590.0)
+    assert guarded.started == 0
+    guarded.look(20.0)
+    assert guarded.started == 1
+
+
+def test_the_guard_replaces_a_process_that_stands_still_and_watches_for_nobody(guarded: Guarded) -> None:
+    guarded.comes_up()
+    assert guarded.process is not None
+    guarded.process.answer({"id": 1, **ON})
+    heard_ns = guarded.process._heard_ns
+    guarded.look(20.0)
+    assert guarded.process._heard_ns == heard_ns
+    assert guarded.killed == 0
+    guarded.process = None
+    guarded.look(answered_within_s(PARAMETERS) + 5.0)
+    assert guarded.killed == 1
+    guarded.look(10.0)
+    assert guarded.started == 1
 
 
 def test_the_means_of_a_set_begin_behind_the_readings_of_its_row(bench: Bench) -> None:
     bench.comes_up()
-    bench.remote.energise("Ada")
+    bench.answer(bench.remote.energise("Ada"))
     bench.until_told(supply_state="on", voltage_max_v=10.0)
     bench.remote.begin_window()
     bench.until_told(current_a=None)

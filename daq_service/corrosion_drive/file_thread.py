@@ -1,0 +1,54 @@
+"""Jobs on files in a thread of their own, so that a disk that hangs delays nothing else."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Self
+
+FLUSH_WITHIN_S = 5.0
+
+
+class FileThread:
+    """Runs the newest job; one that has not started yet is replaced by a newer one."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._job: Callable[[], None] | None = None
+        self._busy = self._closed = False
+        self._thread = threading.Thread(target=self._work, name="files", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(0.0 if self._busy else FLUSH_WITHIN_S)
+
+    def run(self, job: Callable[[], None]) -> None:
+        """Run a job as soon as the one before it has ended; never waits."""
+        with self._changed:
+            self._job = job
+            self._changed.notify_all()
+
+    def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
+        """Wait until no job is left, for a bounded time; False if one hangs."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._job is not None or self._closed)
+                if (job := self._job) is None:
+                    return
+                self._job, self._busy = None, True
+            try:
+                job()
+            finally:
+                with self._changed:
+                    self._busy = False
+                    self._changed.notify_all()

@@ -1,0 +1,362 @@
+"""The supply under commands, dead links, kills, stalls, hand-overs, disk hangs and outside changes.
+
+Drive, guard and the recorder's client run on a scripted supply in virtual time, over real sockets and locks.
+"""
+
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+from support.scripted_supply import ScriptedSupply
+from support.serial_rig import TestClock
+
+from daq_service.corrosion_drive import kept, remote
+from daq_service.corrosion_drive.channel import Server
+from daq_service.corrosion_drive.charge import DriveState
+from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S, Reply
+from daq_service.corrosion_drive.guard import DriveGuard
+from daq_service.corrosion_drive.kept import Address, own_drive
+from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
+from daq_service.corrosion_drive.remote import RemoteDrive, answered_within_s
+from daq_service.errors import BusyError, RigError
+from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+
+LOST = ConnectionLostError("no answer")
+KEY = b"k" * 32
+POLL_S = 5.0
+STEP_S = 1.0
+PLAIN = SupplyParameters(
+    line=SerialLineParameters(port="COM4", reply_timeout_s=0.1),
+    identity="ANY",
+    log_interval_s=POLL_S,
+    unwatched_s=60.0,
+)
+CONFIGURATIONS = {
+    "same": PLAIN,
+    "another limit": replace(PLAIN, interlock_current_a=0.8),
+    "another port": replace(PLAIN, line=replace(PLAIN.line, port="COM5")),
+}
+ROUNDS_S = 3 * STEP_S
+"""A message is taken up at the next step, and answered at the one after it."""
+REPLACED_WITHIN_S = answered_within_s(PLAIN) + SUCCEEDED_WITHIN_S + POLL_S
+LONGEST_S = PLAIN.unwatched_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
+"""The unwatched limit and one poll; a process that hangs before it is found and replaced first."""
+
+
+class Process:
+    """A process of the drive."""
+
+    def __init__(self, world: "World", parameters: SupplyParameters) -> None:
+        self.world, self.stalled = world, False
+        self.server = Server(KEY)
+        address = Address(port=self.server.port, key=KEY.hex(), fingerprint=fingerprint(parameters))
+        self.job: Callable[[], None] | None = None
+        self.drive = DriveProcess(
+            lambda: own_drive(world.folder, address),
+            lambda: world.port(parameters.line.port),
+            parameters,
+            world.folder,
+            supply_port=parameters.line.port,
+            clock=world.clock,
+            jobs=self.put,
+        )
+
+    def put(self, job: Callable[[], None]) -> None:
+        self.job = job
+        self.write()
+
+    def write(self) -> None:
+        if self.job is not None and not self.world.disk_hangs:
+            self.job, job = None, self.job
+            job()
+
+    def run(self) -> None:
+        self.drive.step()
+        self.server.serve(0.0, self.drive.answer)
+
+    def die(self) -> None:
+        self.drive.close()
+        self.server.__exit__()
+        self.world.processes.remove(self)
+
+    @property
+    def drives(self) -> bool:
+        return not self.stalled and self.drive._released_ns is None
+
+    @property
+    def commanded(self) -> bool:
+        return self.drive._drive.state.command is not None
+
+
+class Started:
+    """What a start returns: it has come up, or not yet."""
+
+    def __init__(self, world: "World", parameters: SupplyParameters) -> None:
+        self.world, self.parameters, self.returncode = world, parameters, None
+        self.process: Process | None = None
+
+    def poll(self) -> int | None:
+        return None if self.process is None or self.process in self.world.processes else 0
+
+
+class World:
+    """Supply, processes of the drive, and the folder that they share."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.clock = folder, TestClock()
+        self.supply, self.nothing = ScriptedSupply(self.clock), ScriptedSupply(self.clock)
+        self.nothing.error = LOST
+        self.processes: list[Process] = []
+        self.starting: list[Started] = []
+        self.disk_hangs = False
+
+    @contextmanager
+    def port(self, name: str) -> Iterator[ScriptedSupply]:
+        yield self.supply if name == "COM4" else self.nothing
+
+    def mono_s(self) -> float:
+        return self.clock.now_ns / 1e9
+
+    def start(self, parameters: SupplyParameters) -> Started:
+        self.starting.append(Started(self, parameters))
+        return self.starting[-1]
+
+    def owner(self) -> Process | None:
+        return next((one for one in self.processes if one.drive._released_ns is None), None)
+
+    def kill(self, number: int) -> None:
+        assert number == os.getpid()
+        if (owner := self.owner()) is not None:
+            owner.die()
+
+    def run(self) -> None:
+        for started in self.starting[:]:
+            self.starting.remove(started)
+            if is_owned(self.folder, DRIVE_LOCK) is False:
+                with suppress(BusyError):
+                    started.process = Process(self, started.parameters)
+                    self.processes.append(started.process)
+        for process in self.processes[:]:
+            process.write()
+            if not process.stalled:
+                process.run()
+            if process.drive.leaves:
+                process.die()
+
+
+class Supervision(RuleBasedStateMachine):
+    """While anything runs that can, an output that no command wants is off in time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.folder = Path(tempfile.mkdtemp())
+        self.world = World(self.folder)
+        self.patch = pytest.MonkeyPatch()
+        for module in (kept, remote):
+            self.patch.setattr(module, "elapsed_ns", self.world.clock.mono_ns)
+        self.patch.setattr(kept, "write_durably", self._write)
+        logging.disable(logging.CRITICAL)
+        self.supervisor: DriveGuard | None = None
+        self.guarding: RemoteDrive | None = None
+        self.recorder: RemoteDrive | None = None
+        self.recorder_stalled = False
+        self.offs: list[Reply] = []
+        self.on_s = self.unwanted_s = 0.0
+
+    def _write(self, path: Path, content: bytes, *, temporary: Path) -> None:
+        if self.world.disk_hangs:
+            raise OSError("a write that does not end")  # of a recorder: no process waits for one
+        path.write_bytes(content)
+
+    def teardown(self) -> None:
+        for one in (self.recorder, self.guarding):
+            if one is not None:
+                one._disconnect("")
+        for process in self.world.processes[:]:
+            process.die()
+        self.patch.undo()
+        logging.disable(logging.NOTSET)
+        shutil.rmtree(self.folder)
+
+    # Time ------------------------------------------------------------------------------------------
+
+    def pass_time(self, seconds: float) -> None:
+        for _ in range(round(seconds / STEP_S)):
+            self.world.clock.advance(STEP_S)
+            if self.recorder is not None and not self.recorder_stalled:
+                self.recorder.tick()
+            elif self.recorder is None and self.supervisor is not None:
+                self.supervisor.look()
+            self.world.run()
+            self.check()
+
+    def check(self) -> None:
+        world = self.world
+        answers = world.supply.error is None
+        drivers = [one for one in world.processes if one.drives and one.drive._supply_port == "COM4"]
+        wanted = any(one.commanded for one in drivers)
+        somebody = (
+            any(not one.stalled for one in world.processes)
+            or (self.recorder is not None and not self.recorder_stalled)
+            or self.supervisor is not None
+        )
+        reachable = answers and self._can_reach()
+        exposed = world.supply.on and reachable and somebody and not wanted
+        self.on_s = self.on_s + STEP_S if exposed else 0.0
+        assert self.on_s <= LONGEST_S, f"on for {self.on_s:g} s without supervision"
+        unwanted = world.supply.on and answers and bool(drivers) and not wanted
+        self.unwanted_s = self.unwanted_s + STEP_S if unwanted else 0.0
+        assert self.unwanted_s <= max(POLL_S, SWITCH_OFF_EVERY_S) + ROUNDS_S, (
+            "a process reads it and lets it be"
+        )
+        for process in drivers:
+            silent_s = (world.clock.now_ns - process.drive._heard_ns) / 1e9
+            limit_s = PLAIN.unwatched_s + POLL_S + ROUNDS_S
+            assert not (process.commanded and silent_s > limit_s), f"unwatched for {silent_s:g} s"
+
+    def _can_reach(self) -> bool:
+        """Somebody runs who knows this supply's port: not the successor of another one."""
+        parameters = [one.drive._parameters for one in self.world.processes if not one.stalled]
+        parameters += [] if self.recorder is None else [self.recorder._parameters]
+        parameters += (
+            [] if self.guarding is None or self.recorder is not None else [self.guarding._parameters]
+        )
+        return any(one.line.port == "COM4" for one in parameters)
+
+    @initialize()
+    def begins(self) -> None:
+        self.start_recorder("same")
+        self.change_supervisor()
+        self.command("on")
+
+    @rule(seconds=st.sampled_from([1.0, 5.0, 20.0]))
+    def time_passes(self, seconds: float) -> None:
+        self.pass_time(seconds)
+
+    @rule()
+    def long_time_passes(self) -> None:
+        self.pass_time(LONGEST_S + 5.0)
+
+    # A person ----------------------------------------------------------------------------------------
+
+    @precondition(lambda self: self.recorder is not None and not self.recorder_stalled)
+    @rule(what=st.sampled_from(["on", "on", "off", "trip"]))
+    def command(self, what: str) -> None:
+        assert self.recorder is not None
+        if what == "on":
+            self.recorder.energise("Ada")
+        elif what == "off":
+            self.recorder.switch_off("Ada")
+        else:
+            self.recorder.trip("hole at B")
+        self.pass_time(2.0)
+
+    @rule(on=st.booleans(), current_a=st.sampled_from([0.2, 0.2, 0.95]))
+    def output_changes_from_outside(self, on: bool, current_a: float) -> None:
+        self.world.supply.on, self.world.supply.current_a = on, current_a
+
+    # Faults ------------------------------------------------------------------------------------------
+
+    @rule(what=st.sampled_from(["link", "disk"]))
+    def link_or_disk_fails_or_returns(self, what: str) -> None:
+        if what == "disk":
+            self.world.disk_hangs = not self.world.disk_hangs
+        else:
+            self.world.supply.error = LOST if self.world.supply.error is None else None
+
+    @precondition(lambda self: self.world.processes)
+    @rule(what=st.sampled_from(["kill", "stall", "stall", "resume", "stop"]))
+    def process_suffers(self, what: str) -> None:
+        process: Any = self.world.processes[-1]
+        if what == "kill":
+            process.die()
+        elif what == "stop" and not process.stalled:
+            with suppress(RigError):
+                process.drive.end()
+            process.die()
+        else:
+            process.stalled = what == "stall"
+
+    @precondition(lambda self: self.recorder is not None)
+    @rule(what=st.sampled_from(["kill", "stall", "resume", "end"]))
+    def recorder_suffers(self, what: str) -> None:
+        assert self.recorder is not None
+        if what in ("stall", "resume"):
+            self.recorder_stalled = what == "stall"
+            return
+        if what == "end" and not self.recorder_stalled:
+            self.recorder._pause = lambda seconds: (self.world.clock.advance(seconds), self.world.run())[0]
+            with suppress(ConnectionLostError):
+                self.recorder.switch_off_at_end()
+            self.recorder.__exit__()
+        self.recorder._disconnect("killed")
+        self.recorder, self.recorder_stalled = None, False
+
+    @precondition(lambda self: self.recorder is None)
+    @rule(configuration=st.sampled_from(["same", "another limit", "another port"]))
+    def start_recorder(self, configuration: str) -> None:
+        parameters, world = CONFIGURATIONS[configuration], self.world
+        self.recorder = RemoteDrive(
+            parameters,
+            self.folder,
+            lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
+            supply_port=parameters.line.port,
+            mono_s=world.mono_s,
+            kill=world.kill,
+        )
+        self.recorder.begin(DriveState())
+        self.pass_time(5.0)
+
+    @precondition(lambda self: self.recorder is None)
+    @rule()
+    def change_supervisor(self) -> None:
+        """Start it, or kill it."""
+        if self.guarding is not None:
+            self.guarding._disconnect("killed")
+            self.supervisor = self.guarding = None
+            return
+        world = self.world
+        self.guarding = RemoteDrive(
+            PLAIN,
+            self.folder,
+            lambda: world.start(PLAIN),  # type: ignore[arg-type,return-value]
+            watches=False,
+            mono_s=world.mono_s,
+            kill=world.kill,
+        )
+        self.supervisor = DriveGuard(
+            self.folder, self.guarding, check_every_s=PLAIN.unwatched_s, mono_s=world.mono_s
+        )
+
+
+def _settings(runs: int) -> settings:
+    return settings(
+        max_examples=runs,
+        stateful_step_count=50,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        print_blob=True,
+    )
+
+
+TestSupervision = Supervision.TestCase
+TestSupervision.settings = _settings(20)
+
+
+@pytest.mark.slow
+class TestSupervisionAtLength(Supervision.TestCase):  # type: ignore[name-defined,misc]
+    """The same, 500 times."""
+
+    settings = _settings(500)
