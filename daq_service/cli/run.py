@@ -88,7 +88,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
         refuse_open_doors(settings.web, folder)
     if not no_web and settings.notifications.receivers:
-        from daq_service.web.notifications.addresses import refuse_unusable
+        from daq_service.processes.notifications.addresses import refuse_unusable
 
         refuse_unusable(settings.notifications)
 
@@ -281,9 +281,9 @@ def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restarted_because: str, supervised: bool
 ) -> int:
     """Serve the data folder until somebody says stop."""
+    from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
     from daq_service.web.doors.entry import refuse_open_doors
-    from daq_service.web.notifications.addresses import refuse_unusable
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:

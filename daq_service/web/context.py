@@ -23,11 +23,11 @@ from daq_service.errors import StorageError
 from daq_service.orders.audit import Audit
 from daq_service.processes import freshness
 from daq_service.processes.lost_catalogue import lost_because
+from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, catalogue_lost, no_data_yet, not_found
 from daq_service.web.doors.entry import Doors
-from daq_service.web.notifications.service import Notifications
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
 

@@ -32,9 +32,9 @@ from daq_service.clock import format_utc
 from daq_service.errors import StorageError
 from daq_service.orders.audit import AUDIT_FILE
 from daq_service.processes.data_folder import is_owned
+from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
-from daq_service.web.notifications.delivery_log import LOG_FILE
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 

@@ -12,10 +12,10 @@ import click
 from daq_service.errors import EXIT_NOT_MET, UsageError
 from daq_service.orders.give import user_name
 from daq_service.processes.data_folder import settings_and_folder
-from daq_service.web.notifications.addresses import address_of
-from daq_service.web.notifications.by_apprise import notify
-from daq_service.web.notifications.messages import Test, trial_message
-from daq_service.web.notifications.webhook import Outcome, post
+from daq_service.processes.notifications.addresses import address_of
+from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.messages import Test, trial_message
+from daq_service.processes.notifications.webhook import Outcome, post
 
 
 def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> None:

@@ -32,8 +32,8 @@ from daq_service.judgement.results import results_in
 from daq_service.orders.audit import Audit
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
+from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
 from daq_service.recording.rebuild import rebuild
-from daq_service.web.notifications.delivery_log import Delivery, DeliveryLog
 
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {

@@ -6,9 +6,9 @@ import pytest
 from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
-from daq_service.web.notifications.messages import MOST_TOLD
-from daq_service.web.notifications.receiver import MOST_REFUSALS, is_dead
-from daq_service.web.notifications.webhook import Outcome
+from daq_service.processes.notifications.messages import MOST_TOLD
+from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
+from daq_service.processes.notifications.webhook import Outcome
 from hardware_drivers.nanoseconds import NS_PER_S
 
 AT_ONCE = {"group_s": 0.0}
@@ -256,7 +256,7 @@ def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
 def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
     bench = made()
     monkeypatch.setattr(
-        "daq_service.web.notifications.delivery_log.append_line",
+        "daq_service.processes.notifications.delivery_log.append_line",
         lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
     )
     bench.alarms.change("disk_space", position=None, family="device")
@@ -320,8 +320,8 @@ def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
 
 
 def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(made, monkeypatch):
-    monkeypatch.setattr("daq_service.web.notifications.receiver.MOST_WAITING", 20)
-    monkeypatch.setattr("daq_service.web.notifications.receiver.PAGE_EVENTS", 10)
+    monkeypatch.setattr("daq_service.processes.notifications.receiver.MOST_WAITING", 20)
+    monkeypatch.setattr("daq_service.processes.notifications.receiver.PAGE_EVENTS", 10)
     bench = made(group_s=1.0)
     bench.outcomes += [DEAD] * 8
     bench.alarms.change()

@@ -16,11 +16,11 @@ from support.told_alarms import notifying
 from support.waiting import happened
 
 from daq_service.errors import UsageError
+from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
+from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.messages import Message
+from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 from daq_service.settings.notifications import ReceiverSettings
-from daq_service.web.notifications.addresses import Address, address_of, refuse_unusable, shown_address
-from daq_service.web.notifications.by_apprise import notify
-from daq_service.web.notifications.messages import Message
-from daq_service.web.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
 SECRET = "correct-horse-battery-staple"

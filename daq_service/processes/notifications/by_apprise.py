@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 
-from daq_service.web.notifications.addresses import Address
-from daq_service.web.notifications.messages import Message
-from daq_service.web.notifications.webhook import Outcome
+from daq_service.processes.notifications.addresses import Address
+from daq_service.processes.notifications.messages import Message
+from daq_service.processes.notifications.webhook import Outcome
 
 
 def notify(address: Address, message: Message) -> Outcome:

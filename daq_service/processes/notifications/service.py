@@ -12,15 +12,15 @@ from pathlib import Path
 from daq_service.catalogue.reader import Catalogue
 from daq_service.errors import BusyError, SolimonError
 from daq_service.processes.data_folder import BACKUP_FILE, hold_lock
+from daq_service.processes.notifications.addresses import address_of
+from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.delivery_log import DeliveryLog
+from daq_service.processes.notifications.messages import Message
+from daq_service.processes.notifications.receiver import ReceiverLine
+from daq_service.processes.notifications.source import Source
+from daq_service.processes.notifications.webhook import Bounds, Cut, Outcome, post
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.settings.tree import Settings
-from daq_service.web.notifications.addresses import address_of
-from daq_service.web.notifications.by_apprise import notify
-from daq_service.web.notifications.delivery_log import DeliveryLog
-from daq_service.web.notifications.messages import Message
-from daq_service.web.notifications.receiver import ReceiverLine
-from daq_service.web.notifications.source import Source
-from daq_service.web.notifications.webhook import Bounds, Cut, Outcome, post
 
 log = logging.getLogger(__name__)
 

@@ -14,9 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq_service.errors import BusyError, UsageError
-from daq_service.settings.notifications import NotificationSettings
-from daq_service.web.notifications.delivery_log import Delivery, DeliveryLog, Place, What
-from daq_service.web.notifications.messages import (
+from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog, Place, What
+from daq_service.processes.notifications.messages import (
     Message,
     News,
     alarm_message,
@@ -25,9 +24,10 @@ from daq_service.web.notifications.messages import (
     news_of,
     trial_message,
 )
-from daq_service.web.notifications.rules import Waiting, rule_of
-from daq_service.web.notifications.source import Source
-from daq_service.web.notifications.webhook import Outcome
+from daq_service.processes.notifications.rules import Waiting, rule_of
+from daq_service.processes.notifications.source import Source
+from daq_service.processes.notifications.webhook import Outcome
+from daq_service.settings.notifications import NotificationSettings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
