@@ -21,7 +21,7 @@ def notify(address: Address, message: Message) -> Outcome:
     door = apprise.Apprise(asset=apprise.AppriseAsset(async_mode=False))
     if not door.add(address.url):
         return Outcome(ok=False, told="apprise does not know this kind of address; see its list of services")
-    kind = apprise.NotifyType.INFO if message.kind == "test" else apprise.NotifyType.WARNING
+    kind = apprise.NotifyType.WARNING if message.kind == "alarm" else apprise.NotifyType.INFO
     if door.notify(title=message.title, body=f"{message.text}\n\n{message.key}", notify_type=kind):
         return Outcome(ok=True, told="handed over")
     return Outcome(ok=False, told="apprise could not deliver it: see host, name and password in the address")

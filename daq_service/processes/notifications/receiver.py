@@ -27,7 +27,7 @@ from daq_service.processes.notifications.messages import (
 from daq_service.processes.notifications.rules import Waiting, rule_of
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
-from daq_service.settings.notifications import NotificationSettings
+from daq_service.settings.notifications import SHORTEST_FOR_PEOPLE_S, NotificationSettings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -140,6 +140,7 @@ class ReceiverLine:
             The catalogue cannot be read now.
         """
         if not self._began:
+            self._resume_heartbeat()
             self.begin(self._log.places([self.name]).get(self.name))
         self._take_in()
         self._beat()
@@ -290,8 +291,20 @@ class ReceiverLine:
             self.state.last_heartbeat_utc_ns = now_ns
         self._beaten("ok" if outcome.ok else "failing", outcome.told)
 
+    @property
+    def _notes_each_heartbeat(self) -> bool:
+        """Only where they are hours apart: their distance then holds across restarts, too."""
+        return (self._own.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
+
+    def _resume_heartbeat(self) -> None:
+        every_s = self._own.heartbeat_s
+        if every_s is not None and self._notes_each_heartbeat:
+            last_ns = self._log.last_heartbeat_ns(self.name)
+            past_s = every_s if last_ns is None else (self._now_ns() - last_ns) / NS_PER_S
+            self._beat_s = self._mono_s() + min(every_s, max(0.0, every_s - past_s))
+
     def _beaten(self, state: str, told: str) -> None:
-        if state != self.state.heartbeat:
+        if state != self.state.heartbeat or (self._notes_each_heartbeat and state != "withheld"):
             self._note("heartbeat", f"{state}: {told}", moved=False)
         self.state.heartbeat, self.state.heartbeat_told = state, told
 

@@ -1,6 +1,7 @@
 """Who is told of which alarm and when; what a restart knows; what a dead receiver costs."""
 
 import logging
+from itertools import pairwise
 
 import pytest
 from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
@@ -357,6 +358,19 @@ def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, mo
     assert bench.run(300.0) == []
     assert bench.line.state.heartbeat == "withheld"
     assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
+
+
+def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypatch):
+    mail = {"kind": "apprise", "url": "", "url_env": "MAIL", "secret_env": "", "heartbeat_s": 3600.0}
+    bench = made(receiver=mail)
+    facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
+    sent_s = []
+    for pause_s in (1.0, 600.0, 600.0, 3600.0, 1800.0):
+        monkeypatch.setattr(bench.restarted()._source, "signs_of_life", lambda: facts)
+        sent_s += [bench.mono_s] * len(bench.run())
+        bench.mono_s += pause_s
+        sent_s += [bench.mono_s] * len(bench.run())
+    assert [round(after - before) for before, after in pairwise(sent_s)] == [4801]
 
 
 def test_a_catalogue_that_cannot_be_read_now_stops_nothing_for_good(made, monkeypatch):
