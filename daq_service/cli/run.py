@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -43,6 +44,8 @@ from daq_service.processes.data_folder import (
     sweep,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
+from daq_service.processes.heartbeat import web_beat
+from daq_service.processes.notifications.service import standing_by
 from daq_service.processes.service_manager import notify, telling_service_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
@@ -117,7 +120,8 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             on_message=on_message,
             without_recorder=guarded_drive(settings, folder),
         )
-        code = supervisor.run(stop, stay=not no_web)
+        with standing_by(settings, folder, watches=True):
+            code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
@@ -177,6 +181,7 @@ def record_alone(
         tell = tell_supervisor
         if not supervised:
             tell = left.enter_context(telling_service_manager(left.enter_context(Telling())))
+            left.enter_context(standing_by(settings, folder, watches=False))
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
@@ -311,8 +316,15 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
         else:
             click.echo(f"dashboard: {url}")
 
+    def on_beat() -> None:
+        if supervised:
+            tell_supervisor("beat", **asdict(web_beat()))
+        else:
+            notify("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
+
+    at = web.port if port is None else port
     with stop_on_signals() as stop:
         if supervised:
             leave_when_pipe_closes(stop)
-        serve(app, web.host, web.port if port is None else port, on_bound=on_bound, stop=stop, locks=web)
+        serve(app, web.host, at, on_bound=on_bound, stop=stop, locks=web, on_beat=on_beat)
         return EXIT_OK if supervised else EXIT_INTERRUPTED

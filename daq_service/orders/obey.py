@@ -48,6 +48,8 @@ class OrderListener:
         Shortest time between two looks, on the machine's monotonic clock.
     left_s
         Tells the time that an order has left, in real time whatever clock the test runs on.
+    adopt
+        Takes over the alarm that another process may have raised or cleared.
     """
 
     def __init__(
@@ -58,12 +60,13 @@ class OrderListener:
         listen_every_s: float = LISTEN_EVERY_S,
         mono_ns: Callable[[], int] = time.monotonic_ns,
         left_s: Callable[[CommandRow], float] = left_now_s,
+        adopt: Callable[[], None] = lambda: None,
     ) -> None:
         self._catalogue = catalogue
         self._test = test
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
         self._mono_ns = mono_ns
-        self._left_s = left_s
+        self._left_s, self._adopt = left_s, adopt
         self._begun = False
         self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
@@ -123,6 +126,7 @@ class OrderListener:
         if standing.state == "expired":
             return "expired", standing.result or ""
         told: list[Transaction] = []
+        self._adopt()
         try:
             order = read_order(row.kind, row.author, row.arguments)
             result = order.carry_out(replace(self._test, store=told.append), row.id, self._facts())

@@ -29,7 +29,7 @@ from typing import Any
 from daq_service.clock import boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import FAREWELL
-from daq_service.processes.heartbeat import Beat, age_s, beat_of, read_heartbeat
+from daq_service.processes.heartbeat import WEB_FILE, Beat, age_s, beat_of, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -64,7 +64,7 @@ class ChildPlan:
     arguments
         Command line after ``solimon``; ``{cause}`` in it becomes why the child is started again.
     watched
-        True: its heartbeat is watched.
+        True: the recorder, whose heartbeat is watched from its start on; of others, from their first beat on.
     environment
         Variables added to this process's own.
     """
@@ -185,7 +185,7 @@ class Supervisor:
             return None
         code = child.process.poll()
         if code is None:
-            if child.plan.watched and (cause := self._overdue(child)):
+            if (child.plan.watched or child.told) and (cause := self._overdue(child)):
                 child.cause = cause
                 child.process.kill()
             return None
@@ -260,7 +260,7 @@ class Supervisor:
 
     def _overdue(self, child: _Child) -> str:
         """Why a child that runs must be killed; empty while its heartbeat is in time."""
-        heard = (child.told, self._read_beat(self._folder))
+        heard = (child.told, self._beat_in_file(child))
         now_ns = self._mono_ns()
         # A folder has one recorder: what it wrote since the start is this child's. Process numbers come
         # again, and a launcher (Windows, virtual environments) has another one than its Python. A file that
@@ -282,6 +282,13 @@ class Supervisor:
             f"hung while {child.beat.doing}: heartbeat {late_s:.1f} s past its deadline of "
             f"{child.beat.deadline_s:g} s"
         )
+
+    def _beat_in_file(self, child: _Child) -> Beat | None:
+        if child.plan.watched:
+            return self._read_beat(self._folder)
+        # A supervisor that was stopped itself reads its pipe late. Others may serve the folder.
+        found = read_heartbeat(self._folder, WEB_FILE)
+        return found if found and child.told and found.process == child.told.process else None
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:

@@ -164,7 +164,8 @@ class Recorder:
             positions=settings.names_of(SOLITARY_WAVE),
             supply=drive if drive is not None and drive.has_supply else None,
         )
-        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
+        adopt = self._ledger.adopt
+        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
         rig.asking.listen(self._asked)
 
     def run(self, *, not_running_because: str, opening: Opening | None = None) -> bool:
@@ -678,6 +679,7 @@ class Recorder:
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._tell_clock_steps()
+        self._kept.look_at_the_web()
         self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._kept.trouble is None:

@@ -12,12 +12,14 @@ from functools import partial
 from typing import Any
 
 from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
+from daq_service.alarms.process_trouble import web_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, SetRecord, StoredSet
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.judgement.transaction import Transaction
 from daq_service.processes.disk_policy import DiskWatch
+from daq_service.processes.heartbeat import WebWatch
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
@@ -59,6 +61,8 @@ class Helpers:
         Watches the volume.
     machine
         Reads with each set what the test costs its computer.
+    web
+        Watches the web service of the folder.
     acknowledged
         Called with the id of each shot (`Shot.sequence`) once it is durable.
     """
@@ -69,6 +73,7 @@ class Helpers:
     history: HistoryFollower | None = None
     disk: DiskWatch | None = None
     machine: MachineWatch | None = None
+    web: WebWatch | None = None
     acknowledged: Callable[[int], None] = lambda shot_id: None
 
 
@@ -107,6 +112,8 @@ class Safekeeping:
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
         self._stop, self._moment, self._mono_s = stop, moment, mono_s
         self._on_trouble, self._look_every_s = on_trouble, look_every_s
+        self._web = helpers.web
+        self._web_is_missing: bool | None = None
         self._told_ids: set[int] = set()
         self._told_damaged: dict[str, str] = {}
         self._told_trouble = self._told_compaction = ""
@@ -282,6 +289,16 @@ class Safekeeping:
         )
         with suppress(*PASSING):  # the event follows when the disk takes it
             self._ledger.tell(condition, self._moment())
+
+    def look_at_the_web(self) -> None:
+        """Raise the alarm of a web service that is missing, and clear it when it responds."""
+        is_missing = None if self._web is None else self._web.is_missing()
+        if is_missing in (None, self._web_is_missing):
+            return
+        moment = self._moment()
+        with suppress(*PASSING):  # the next look stores it
+            self._ledger.tell(web_condition(moment.due_h, present=is_missing), moment)
+            self._web_is_missing = is_missing
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""

@@ -28,7 +28,7 @@ from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answ
 from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
-from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
+from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, TELLING
@@ -221,6 +221,7 @@ def record(
                 history=history,
                 disk=disk,
                 machine=machine,
+                web=WebWatch(folder),
                 acknowledged=acknowledged,
             ),
             listen_every_s=listen_every_s,

@@ -25,6 +25,7 @@ HANDSHAKE_WITHIN_S = 10.0
 """As headers; by itself asyncio waits for a minute for somebody who connects and never speaks TLS."""
 COLLECTED_AFTER = (50_000, 20, 50)
 """Objects made, younger looks, middle looks before the collector looks at the youngest, at more, at all."""
+TICKS_OF_A_BEAT = 10
 MOST_CONNECTIONS = 2500
 """Some hundreds more than streams: whoever asks for something else is still served."""
 
@@ -38,6 +39,7 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._close_streams = close_streams
         self._stop = stop
+        self.on_beat: Callable[[], None] = lambda: None
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -49,7 +51,9 @@ class _Server(uvicorn.Server):
             yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Look at the stop event, ten times a second."""
+        """Look at the stop event, ten times a second, and beat at each tenth look."""
+        if counter % TICKS_OF_A_BEAT == 0:
+            self.on_beat()
         if self._stop is not None and self._stop.is_set():
             self.should_exit = True
         return await super().on_tick(counter)
@@ -136,6 +140,7 @@ def serve(
     stop: threading.Event | None = None,
     close_streams: Callable[[], None] | None = None,
     locks: WebSettings | None = None,
+    on_beat: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
 
@@ -147,6 +152,8 @@ def serve(
         Called before the last answers are waited for; None: the service's own.
     locks
         Certificate and proxy of a service that others may reach; None: this machine only, nothing encrypted.
+    on_beat
+        Called by the event loop once a second: an event loop that stalls calls it no longer.
     """
     locks = locks or WebSettings()
     listener = bind(host, port, locked=locks.is_reachable)
@@ -175,6 +182,8 @@ def serve(
         on_bound(f"http{'s' if locks.has_tls else ''}://{shown}:{bound_port}/")
         closing = close_streams or context_of(app).close_streams
         with asyncio.Runner(loop_factory=partial(_loop, config)) as runner:
-            runner.run(_Server(config, closing, stop).serve(sockets=[listener]))
+            server = _Server(config, closing, stop)
+            server.on_beat = on_beat
+            runner.run(server.serve(sockets=[listener]))
     finally:
         listener.close()

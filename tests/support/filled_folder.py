@@ -25,11 +25,12 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
     VerdictRow,
+    payload_of,
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
 from daq_service.judgement.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
-from daq_service.judgement.transaction import Transaction, payload_of, shot_row
+from daq_service.judgement.transaction import Transaction, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS

@@ -8,8 +8,7 @@ from typing import Any
 
 from daq_service.alarms.states import Condition, Moment, reset, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.judgement.transaction import payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverLine

@@ -22,6 +22,7 @@ import click
 from daq_service.corrosion_drive.remote import answered_within_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
 from daq_service.processes.data_folder import settings_and_folder
+from daq_service.processes.heartbeat import WEB_DEADLINE_S
 from daq_service.processes.supervisor import STARTING_GRACE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.tree import Settings
@@ -107,7 +108,9 @@ def systemd_units(
             "web service",
             [],
             [
-                ("Type", "exec"),
+                ("Type", "notify"),
+                ("NotifyAccess", "main"),
+                ("WatchdogSec", f"{WEB_DEADLINE_S:.0f}"),  # fed by the event loop itself
                 ("ExecStartPre", f"mkdir -p {_quoted(str(folder))}"),
                 ("Restart", "on-failure"),
                 ("RestartSec", "5"),

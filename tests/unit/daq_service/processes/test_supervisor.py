@@ -238,6 +238,19 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
     assert world.messages == [("recorder", told), ("recorder", restarts)], "of two beats alike one is news"
 
 
+def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
+    """It has beaten once, and stops to: its event loop hangs, or somebody stopped its process."""
+    stalled = Life()
+    world = World(stalled, Life(), plans=(WEB,), until_s=60.0)
+    told = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
+    stalled.stdout = io.BytesIO(json.dumps(told).encode() + b"\n")
+    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file says nothing of another process
+    world.run(stay=True)
+    assert stalled.killed_s == pytest.approx(16.0, abs=0.101)
+    assert len(world.started) == 2
+    assert world.running[1].killed_s is None, "one that has not beaten yet is left alone"
+
+
 def test_a_recorder_that_beats_is_left_alone() -> None:
     world = World(Life(0, after_s=500.0))
     world.beat = lambda: beat_at(world, 4.0 * (world.now_s // 4.0))
