@@ -23,6 +23,8 @@ STYLES = {
     "alarm": "bold red",
     "retired": "bold red",
     "outlier": "yellow",
+    "shelved": "yellow",
+    "out_of_service": "yellow",
     "learning": "cyan",
     "not_judged": "yellow",
     "normal": "green",
