@@ -13,9 +13,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Any
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.terminal import Telling
@@ -28,6 +26,7 @@ from daq_service.errors import (
     UsageError,
 )
 from daq_service.processes.child import (
+    announced,
     leave_when_pipe_closes,
     log_to,
     start_detached,
@@ -43,6 +42,7 @@ from daq_service.processes.data_folder import (
     sweep,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
+from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import notify, telling_service_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
@@ -61,21 +61,25 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-@contextmanager
-def tried_again(restarted_because: str) -> Iterator[None]:
-    """Let a child that was started again end with a code after which its supervisor tries once more.
+def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
+    """Return the exit code of a child, which its supervisor is sent first.
 
     Raises
     ------
     TriedAgainError
-        The disk refuses now; whoever starts a process by hand is told so at once instead.
+        The disk refuses now, and the child was started again: its supervisor tries once more. A process that
+        a person starts ends with `StorageUnavailableError` instead.
     """
-    try:
-        yield
-    except StorageUnavailableError as error:
-        if not restarted_because:
-            raise
-        raise TriedAgainError(str(error)) from error
+
+    def run() -> int:
+        try:
+            return carry_out(**options)
+        except StorageUnavailableError as error:
+            if not options["restarted_because"]:
+                raise
+            raise TriedAgainError(str(error)) from error
+
+    return announced(run, supervised=options["supervised"])
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
@@ -199,7 +203,7 @@ def record_alone(
         except SolimonError as error:
             log.error("%s", error)
             raise
-        except Exception:
+        except BaseException:  # a driver may also raise SystemExit
             log.exception("the recorder failed")
             raise
         return EXIT_OK if finished else EXIT_INTERRUPTED
@@ -309,7 +313,7 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
         if supervised:
             tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:
-            click.echo(f"dashboard: {url}")
+            print_line(f"dashboard: {url}", err=False)
 
     with stop_on_signals() as stop:
         if supervised:

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
+from daq_service.processes.printing import HELD_AFTER_S, PRINTING, drop_unwritten
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.live import Live
@@ -28,6 +30,8 @@ SHOWN_AFTER_S = 2.0
 LOGGED_EVERY_S = 60.0
 """A log gets a line a set, of a test in simulated time one of many."""
 DRAWN_PER_S = 2.0
+MOST_HELD_LINES = 10_000
+"""Later lines are dropped while a terminal is held."""
 
 
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
@@ -70,7 +74,7 @@ class Telling:
         self._progress, self._logged_s = "", -float("inf")
         self._gap: tuple[str, int, int] | None = None
         self._lines: queue.SimpleQueue[tuple[str, bool, str] | None] = queue.SimpleQueue()
-        self._writer = threading.Thread(target=self._write, name="telling", daemon=True)
+        self._writer = threading.Thread(target=self._write, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
         if sys.stderr.isatty():
@@ -84,9 +88,6 @@ class Telling:
                 redirect_stdout=False,
                 redirect_stderr=False,
             )
-            self._live.start()
-            # It is hidden for a picture that flickers; a process that is killed would leave it so.
-            self._live.console.show_cursor(True)
         self._writer.start()
         return self
 
@@ -95,24 +96,32 @@ class Telling:
     ) -> None:
         self._end_gap()
         self._lines.put(None)
-        self._writer.join()
-        if self._live is not None:
-            with suppress(OSError):  # the terminal is gone
-                self._live.stop()
-            self._live = None
-            if self._progress:
-                self._print(self._progress, err=True, style="")
+        self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
         """Tell what a person asked for, on standard output as a rule."""
         self._say(text, err=self._news_to_stderr)
 
     def _say(self, text: str, *, err: bool = True, style: str = "") -> None:
-        self._lines.put((text, err, style))
+        if self._lines.qsize() < MOST_HELD_LINES:
+            self._lines.put((text, err, style))
 
     def _write(self) -> None:
+        live = self._live
+        if live is not None:
+            with suppress(OSError):  # the terminal is gone
+                live.start()
+                # It is hidden for a picture that flickers; a process that is killed would leave it so.
+                live.console.show_cursor(True)
         for text, err, style in iter(self._lines.get, None):
             self._print(text, err=err, style=style)
+        if live is not None:
+            with suppress(OSError):
+                live.stop()
+            self._live = None
+            if self._progress:
+                self._print(self._progress, err=True, style="")
+        drop_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
         try:
@@ -120,7 +129,7 @@ class Telling:
                 self._live.console.print(text, style=style, soft_wrap=True)
             else:
                 click.echo(text, err=err)
-        except OSError as gone:
+        except (OSError, ValueError) as gone:  # ValueError: closed, or letters that its encoding lacks
             log.debug("nobody reads %r: %s", text, gone)
 
     def _text(self) -> Text:
@@ -148,6 +157,8 @@ class Telling:
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
             self._say(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
+        elif message["event"] == "printed":
+            self._say(values["text"])
         elif child == "recorder":
             self(message["event"], **values)
 

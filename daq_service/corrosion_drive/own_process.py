@@ -268,7 +268,7 @@ def own_supply(
             while not (process.leaves or stop.is_set()):
                 process.step()
                 server.serve(TICK_S, process.answer)
-        except Exception:
+        except BaseException:  # a driver may also raise SystemExit
             log.exception("the process of the drive failed")
             process.end()
             raise

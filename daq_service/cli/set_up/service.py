@@ -99,7 +99,6 @@ def systemd_units(
                 ("TimeoutStopSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
                 # The recorder itself is told; its workers end with it, or are killed after it.
                 ("KillMode", "mixed"),
-                ("Restart", "on-failure"),
                 ("RestartSec", "10"),
             ],
         ),
@@ -109,7 +108,6 @@ def systemd_units(
             [
                 ("Type", "exec"),
                 ("ExecStartPre", f"mkdir -p {_quoted(str(folder))}"),
-                ("Restart", "on-failure"),
                 ("RestartSec", "5"),
                 ("PrivateDevices", "yes"),
             ],
@@ -123,8 +121,6 @@ def systemd_units(
                 ("Type", "notify"),  # before the recorder looks whether it has to start one
                 # Told to end it switches off first, which the supply may keep waiting.
                 ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
-                # Also after it has handed over to one with another configuration.
-                ("Restart", "always"),
                 ("RestartSec", "5"),
             ],
         )
@@ -156,7 +152,9 @@ def _unit(
             ("User", user),
             ("WorkingDirectory", _plain(str(at))),
             ("ExecStart", " ".join(map(_quoted, command))),
-            # A configuration does not mend itself; what an operator stops is no failure.
+            # Any exit code may be that of a driver or a vendor's library, so none ends a test but that of a
+            # configuration, which does not mend itself; `systemctl stop` is no restart.
+            ("Restart", "always"),
             ("RestartPreventExitStatus", f"{UsageError.exit_code}"),
             ("SuccessExitStatus", f"{EXIT_INTERRUPTED}"),
             *service,

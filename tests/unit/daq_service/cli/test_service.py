@@ -96,9 +96,9 @@ def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) 
 
 
 def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
-    for word, parsed in units(config).items():
+    for parsed in units(config).values():
         service = parsed["Service"]
-        assert service["Restart"] == ("always" if word == "drive" else "on-failure")
+        assert service["Restart"] == "always"
         assert service["RestartPreventExitStatus"] == str(UsageError.exit_code), "nothing mends it"
         assert service["SuccessExitStatus"] == str(EXIT_INTERRUPTED), "told to stop is no failure"
         assert parsed["Unit"]["StartLimitIntervalSec"] == "0"
