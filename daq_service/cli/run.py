@@ -26,6 +26,7 @@ from daq_service.errors import (
     UsageError,
 )
 from daq_service.processes.child import (
+    PROGRAM,
     announced,
     leave_when_pipe_closes,
     log_to,
@@ -234,7 +235,7 @@ def _print_acknowledgement(shot_id: int) -> None:
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the process of the drive so that it outlives this one, with the settings that this one has."""
-    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(folder), "--for-recorder"]
+    command = [*PROGRAM, "drive", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 

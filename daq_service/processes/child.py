@@ -22,6 +22,8 @@ from daq_service.processes.printing import print_line
 
 log = logging.getLogger(__name__)
 
+PROGRAM = (sys.executable, "-P", "-m", "daq_service.cli")
+"""``solimon`` without its script. -P: a file of the present folder replaces no module of Python's."""
 LOG_BYTES, LOG_FILES = 5_000_000, 5
 """Each child's log is rotated: at most 25 MB."""
 

@@ -10,6 +10,7 @@ import io
 import os
 import signal
 import sys
+from pathlib import Path
 
 
 def reset_inherited() -> None:
@@ -31,6 +32,10 @@ def reset_inherited() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     os.umask(os.umask(0) & 0o077 | 0o002)  # the owner reads and writes, strangers do not write
+    try:
+        Path.cwd()
+    except OSError:  # deleted: workers of a process start in its folder
+        os.chdir(os.sep)
     if sys.platform == "win32":
         return
     import resource

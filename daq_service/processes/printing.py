@@ -12,7 +12,7 @@ log = logging.getLogger(__name__)
 
 PRINTING = "printing"
 """Name of threads that print: one that is left at the end holds a stream, which Python could not flush."""
-HELD_AFTER_S = 1.0
+HELD_AFTER_S = 2.0
 """A stream that takes no line for so long is held."""
 
 

@@ -18,7 +18,6 @@ import logging
 import os
 import queue
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +28,7 @@ from typing import Any
 
 from daq_service.clock import boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
-from daq_service.processes.child import ANNOUNCEMENT, FAREWELL
+from daq_service.processes.child import ANNOUNCEMENT, FAREWELL, PROGRAM
 from daq_service.processes.heartbeat import Beat, age_s, beat_of, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -133,7 +132,7 @@ class Supervisor:
         *,
         on_message: Callable[[str, Message], None],
         give_up: bool = False,
-        program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
+        program: Sequence[str] = PROGRAM,
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
         leave_within_s: float = LEAVE_WITHIN_S,
         without_recorder: Callable[[], None] = lambda: None,

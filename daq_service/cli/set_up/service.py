@@ -21,12 +21,12 @@ import click
 
 from daq_service.corrosion_drive.remote import answered_within_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
+from daq_service.processes.child import PROGRAM
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.supervisor import STARTING_GRACE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.tree import Settings
 
-PYTHON = (sys.executable, "-P", "-m", "daq_service.cli")
 Lines = Sequence[tuple[str, str]]
 
 
@@ -177,7 +177,7 @@ def _unit(
 def _command(word: str, config: PurePath, folder: PurePath) -> list[str]:
     # After its last set the recorder stays and takes orders.
     linger = ["--linger"] if word == "record" else []
-    return [*PYTHON, word, str(config), "--data-dir", str(folder), *linger]
+    return [*PROGRAM, word, str(config), "--data-dir", str(folder), *linger]
 
 
 def _plain(text: str) -> str:

@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from support.waiting import WAIT_S
 
+from daq_service.processes.child import PROGRAM
+from daq_service.processes.supervisor import start_process
+
 if sys.platform == "win32":
     pytest.skip("nothing of this is inherited there", allow_module_level=True)
 
@@ -29,6 +32,8 @@ def started(
     return subprocess.run(
         [sys.executable, "-c", START + script],
         preexec_fn=inherit,
+        # Else Python has no buffer to flush at its end.
+        env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         text=True,
         timeout=WAIT_S,
         check=False,
@@ -107,6 +112,27 @@ def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch: pyte
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     done = started(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
     assert (done.returncode, done.stdout) == (0, "D\\xb2 9.1\n\\u2013\n")
+
+
+def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) -> None:
+    def leave() -> None:
+        gone = tmp_path / "gone"
+        gone.mkdir()
+        os.chdir(gone)
+        gone.rmdir()
+
+    done = started("print(os.getcwd())", leave)
+    assert (done.returncode, done.stdout) == (0, "/\n")
+
+
+def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("raise SystemExit(3)", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    process = start_process([*PROGRAM, "run", "--help"], {})
+    said, _ = process.communicate()
+    assert (process.returncode, said[:6]) == (0, b"Usage:")
 
 
 @pytest.mark.parametrize("code", [0, 3])
