@@ -52,7 +52,7 @@ EXECUTORS = "processes|threads|dask://HOST"
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
 
 
-def order_options(command: Callable[..., None]) -> Callable[..., None]:
+def order_options(command: Callable[..., int]) -> Callable[..., int]:
     """Options of an order to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
@@ -65,9 +65,9 @@ class _Words(click.Group):
     """Tells each of its words by a whole sentence, on as many lines as that takes."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Carry out a command and return its exit code; a library that ends the process is an error."""
+        """Carry out a command and end with its exit code; a library that ends the process is an error."""
         try:
-            return super().invoke(ctx)
+            ctx.exit(super().invoke(ctx) or 0)
         except (Exception, KeyboardInterrupt):
             raise
         except BaseException as ending:
