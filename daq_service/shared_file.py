@@ -13,6 +13,7 @@ HDF5 itself: a full disk would end the process.
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import sys
@@ -29,6 +30,9 @@ PATIENCE_S = 5.0
 """A virus scanner holds a new file for some tenths of a second."""
 LONGEST_PAUSE_S = 0.05
 HINT_SUFFIX = ".tmp"
+
+LARGEST_BYTES = 4 * 1024**3
+"""Of a file that is read as a whole: a stranger's may have holes and any size."""
 
 BUFFERS_A_CALL = 512
 """Half of what the systems take."""
@@ -61,11 +65,13 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
     Raises
     ------
     OSError
-        It cannot be read, also after a while.
+        It cannot be read, also after a while, or is too large to be held in memory.
     """
 
     def read() -> bytes:
         with path.open("rb") as file:
+            if last is None and os.fstat(file.fileno()).st_size - first > LARGEST_BYTES:
+                raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)}: more than {LARGEST_BYTES} bytes")
             file.seek(first)
             return file.read(-1 if last is None else last - first)
 

@@ -20,9 +20,8 @@ from daq_service.archive.journal.frames import HEADER, Frame, frames
 from daq_service.archive.journal.reader import JournaledSet, contents, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import opened_image
-from daq_service.archive.reader import HDF5_ERRORS, examine, unreadable_parts
+from daq_service.archive.reader import HDF5_ERRORS, examine, read_stored, unreadable_parts
 from daq_service.archive.records import Damage, SetRecord, referenced_sets
-from daq_service.shared_file import read_shared
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +68,12 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
         There is no such file.
     """
     try:
-        content = read_shared(path)
+        content = read_stored(path)
     except FileNotFoundError as error:
         raise SetNotFoundError(f"there is no file {path}") from error
     except OSError as error:
         return CheckedFile(
-            n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror})")]
+            n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror or error})")]
         )
     found = hashlib.sha256(content).hexdigest()
     touched = sha256 is not None and found != sha256
@@ -117,7 +116,10 @@ def _contradictions(content: bytes, made: bytes | None) -> list[str]:
     if made is None:
         return ["what can be read of it makes no set"]
     try:
-        with h5py.File(opened_image(content)) as found, h5py.File(opened_image(made)) as expected:
+        with (
+            h5py.File(opened_image(content)) as found,
+            h5py.File(opened_image(made, is_own=True)) as expected,
+        ):
             values, wanted = _values(found), _values(expected)
             same_format = found.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
     except HDF5_ERRORS as error:

@@ -210,7 +210,8 @@ def _copy_sets(
             copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=told))
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
-        _write(target, read_shared(source), copied)
+        if found.n_bytes:  # else nothing of it can be read
+            _write(target, read_shared(source), copied)
     progress(len(files), len(files))
 
 

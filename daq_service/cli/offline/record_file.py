@@ -95,8 +95,9 @@ def open_records(path: Path, told: Told) -> RecordFile:
 
 def _npy(path: Path, told: Told) -> RecordFile:
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        with np.errstate(over="ignore"):  # of a claimed shape
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
     if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"

@@ -21,6 +21,8 @@ SEPARATORS = ";\t,"
 """Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
 MISSING = frozenset({"", "na", "n/a", "nan", "nil", "null", "none", "-"})
 """What stands in a cell without a value, in small letters."""
+MOST_CELLS = 100_000_000
+"""Of a table whose size stands in its header: 800 MB of numbers."""
 NAMES_SHOWN = 12
 
 
@@ -165,7 +167,13 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
     from pyarrow import parquet
 
     try:
-        table = parquet.ParquetFile(path).read()
+        with parquet.ParquetFile(path) as file:
+            n_rows, n_columns = file.metadata.num_rows, file.metadata.num_columns
+            if n_rows * n_columns > MOST_CELLS:
+                raise NoTableError(
+                    f"{path}: {n_rows} rows of {n_columns} columns; at most {MOST_CELLS:,} cells are read"
+                )
+            table = file.read()
     except arrow.ArrowInvalid as error:
         raise NoTableError(f"{path} is no Parquet file: {error}") from error
     _require_names_once(path, table.column_names)
@@ -179,8 +187,9 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
 
 def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
