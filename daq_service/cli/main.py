@@ -24,6 +24,7 @@ from daq_service.errors import (
     StorageError,
     StorageUnavailableError,
 )
+from daq_service.settings.foreign_text import plain_output
 
 
 class _Positive(click.FloatRange):
@@ -705,6 +706,11 @@ def replay(**options: Any) -> None:
 
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
+    with plain_output():
+        _main()
+
+
+def _main() -> None:
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Abort:

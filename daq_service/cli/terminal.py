@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
+from daq_service.settings.foreign_text import PlainStream, in_one_line
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.live import Live
@@ -34,7 +36,10 @@ def console_on(stream: Literal["stdout", "stderr"]) -> Console:
     """Return rich's console: colour only on a terminal and without ``NO_COLOR``; it invents no highlights."""
     from rich.console import Console
 
-    return Console(file=getattr(sys, stream), highlight=False, markup=False, emoji=False)
+    file = getattr(sys, stream)
+    # Its own colours and moves of the cursor go past what escapes those of others.
+    file = file.stream if isinstance(file, PlainStream) else file
+    return Console(file=file, highlight=False, markup=False, emoji=False)
 
 
 def duration(seconds: float) -> str:
@@ -108,7 +113,7 @@ class Telling:
         self._say(text, err=self._news_to_stderr)
 
     def _say(self, text: str, *, err: bool = True, style: str = "") -> None:
-        self._lines.put((text, err, style))
+        self._lines.put((in_one_line(text), err, style))
 
     def _write(self) -> None:
         for text, err, style in iter(self._lines.get, None):
@@ -132,7 +137,7 @@ class Telling:
         took_s = self._mono_s() - since_s
         long = f"{doing}; {duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         told = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(told, no_wrap=True, overflow="ellipsis")
+        return Text(in_one_line(told), no_wrap=True, overflow="ellipsis")
 
     # What a recorder says, by itself or to its supervisor -------------------------------------------------
 

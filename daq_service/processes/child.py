@@ -17,6 +17,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType
 
+from daq_service.settings.foreign_text import OneLineFormatter
+
 log = logging.getLogger(__name__)
 
 LOG_BYTES, LOG_FILES = 5_000_000, 5
@@ -98,7 +100,7 @@ def log_to(path: Path) -> None:
     """Rotated log file, and a file of its own for crashes below Python; a log that cannot be is a warning."""
     handler = LogFile(path)
     handler.setFormatter(
-        logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
+        OneLineFormatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
     )
     root = logging.getLogger()
     root.addHandler(handler)

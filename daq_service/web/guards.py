@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -27,6 +26,8 @@ EVENTS = "/api/v1/stream"
 """Of each test. No browser shows a foreign page what it reads there, but it would take one of the streams."""
 STREAMS_AT_ONCE = 8
 """Begun before everybody else has been looked at: a thousand come back together when the service is there."""
+ONCE = ("host", "origin", "sec-fetch-site", "authorization", "content-length")
+"""Headers of which a proxy and this service could each believe another one."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -151,9 +152,17 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
             "Clear the cookies of this address.",
         )
+    repeated = next((name for name in ONCE if len(headers.getlist(name)) > 1), None)
+    if repeated is not None:
+        return Problem(
+            400,
+            "repeated-header",
+            "A header is repeated",
+            f"The request has more than one header {repeated!r}.",
+            "Send it once; a proxy must replace it.",
+        )
     host = headers.get("host", "")
-    hostname = _hostname(host)
-    if hostname not in names:
+    if _hostname(f"//{host}") not in names:
         return Problem(
             400,
             "foreign-host",
@@ -162,23 +171,30 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             "Open the address that the service printed, or name this one in web.host_names.",
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
-    if (streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers):
+    origin = headers.get("origin")
+    reads_across = (
+        "/api/" in scope["path"]
+        and headers.get("sec-fetch-site") == "cross-site"
+        and _hostname(origin or "") not in names
+    )
+    if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers)):
         return Problem(
             403,
             "foreign-origin",
             "Request from another origin",
-            f"Origin is {headers.get('origin')!r}, but the request went to {host!r}.",
-            "Only the service's own dashboard and programs without a browser may write or follow a stream.",
+            f"Origin is {origin!r}, but the request went to {host!r}.",
+            "Only the service's own dashboard and programs without a browser may ask; name another host "
+            "that serves pages of this service in web.host_names.",
         )
     size = headers.get("content-length", "0")
-    if scope["type"] == "http" and (not size.isdigit() or int(size) > LARGEST_BODY_BYTES):
+    if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
         return _too_large(size)
     return None
 
 
-def _hostname(netloc: str) -> str | None:
+def _hostname(address: str) -> str | None:
     try:
-        return urlsplit(f"//{netloc}").hostname
+        return urlsplit(address).hostname
     except ValueError:
         return None
 
@@ -187,8 +203,5 @@ def same_origin(headers: Headers) -> bool:
     """Tell that no browser of another origin sent this request."""
     if headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}:
         return False
-    origin = headers.get("origin")
-    if origin is None:
-        return True
-    parts: Any = urlsplit(origin)
-    return parts.scheme in {"http", "https"} and parts.netloc == headers.get("host", "")
+    origin, host = headers.get("origin"), headers.get("host", "")
+    return origin in {None, f"http://{host}", f"https://{host}"}

@@ -6,7 +6,9 @@ import asyncio
 import contextlib
 import errno
 import gc
+import logging
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -16,8 +18,10 @@ from fastapi import FastAPI
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.web import LOOPBACK, WebSettings
-from daq_service.web.bounded_http import BoundedHttp
+from daq_service.web.bounded_http import SPARE_CONNECTIONS, BoundedHttp
 from daq_service.web.context import context_of
+
+log = logging.getLogger(__name__)
 
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this bounds a request that hangs in a thread."""
@@ -26,7 +30,11 @@ HANDSHAKE_WITHIN_S = 10.0
 COLLECTED_AFTER = (50_000, 20, 50)
 """Objects made, younger looks, middle looks before the collector looks at the youngest, at more, at all."""
 MOST_CONNECTIONS = 2500
-"""Some hundreds more than streams: whoever asks for something else is still served."""
+"""Some hundreds more than streams: other requests are still served."""
+KEPT_HANDLES = 32
+"""Of the process, for notifications."""
+OWN_HANDLES = 160
+"""Of the process, for its files, databases and libraries."""
 
 
 class _Server(uvicorn.Server):
@@ -107,6 +115,24 @@ def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
     return listener
 
 
+def most_connections() -> int:
+    """Raise the process's limit of open handles as far as it goes, and return how many connections fit."""
+    if sys.platform == "win32":  # no such limit
+        return MOST_CONNECTIONS
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        soft = hard
+    except (OSError, ValueError) as error:  # macOS takes no "unlimited"
+        log.info("at most %d handles: %s", soft, error)
+    if soft == resource.RLIM_INFINITY:
+        return MOST_CONNECTIONS
+    fit = soft - KEPT_HANDLES - OWN_HANDLES - SPARE_CONNECTIONS
+    return max(min(MOST_CONNECTIONS, fit), 1)
+
+
 def collect_garbage_seldom() -> None:
     """Look for garbage in cycles less often, and never in what stays until the process ends.
 
@@ -159,7 +185,7 @@ def serve(
             ws_ping_interval=20.0,
             log_config=None,
             access_log=False,
-            limit_concurrency=MOST_CONNECTIONS,
+            limit_concurrency=most_connections(),
             server_header=False,
             timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
             lifespan="on",

@@ -18,6 +18,7 @@ from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
 from daq_service.judgement.cause import said
 from daq_service.processes.disk_policy import LEVELS
+from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 
 STYLES = {
     "alarm": "bold red",
@@ -45,6 +46,7 @@ LARGEST_IN_FULL = 1e4
 
 def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
     """Compose everything that `facts.describe_status` tells."""
+    facts, folder = all_in_one_line(facts), in_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
     for name, told, style in _head(facts, folder):
         head.add_row(f"{name:<8}", Text(told, style=style))
