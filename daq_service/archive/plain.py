@@ -8,7 +8,6 @@ open. A set's file needs none of that, so each link and dataset is looked at bef
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from h5py import h5d, h5f, h5g, h5l, h5o, h5t, h5z
 
@@ -21,19 +20,13 @@ _SPARE_ROWS = 4096
 """Tables of what left no record may be longer than those of the records."""
 
 
+_Found = tuple[str, int, tuple[int, ...], bool, bool]
+"""Name, bytes in memory, shape (none of what lies in the object header: 64 KB at the most), whether it holds
+records, whether floats."""
+
+
 class RefusedError(OSError):
     """A file is no plain one; as HDF5 raises where it finds damage by itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """A dataset; one whose values lie in its object header, 64 KB at the most, has no shape here."""
-
-    name: str
-    n_bytes: int
-    shape: tuple[int, ...] = ()
-    chunk: tuple[int, ...] = ()
-    is_float: bool = False
 
 
 def require_plain(file: h5f.FileID, n_bytes: int) -> None:
@@ -62,18 +55,23 @@ def require_plain(file: h5f.FileID, n_bytes: int) -> None:
             item = h5o.open(group, key)
             if isinstance(item, h5d.DatasetID):
                 found.append(_looked_at(name, item))
-            elif isinstance(item, h5g.GroupID):
-                address = h5o.get_info(item).addr
-                if address in groups or name.count("/") > _DEEPEST:
-                    raise RefusedError(f"{name!r} leads in a circle, or deeper than {_DEEPEST} groups")
-                groups.add(address)
-                pending.append((name, item))
-            else:
-                raise RefusedError(f"{name!r} is neither group nor dataset")
-    claimed = sum(one.n_bytes for one in found)
+                continue
+            address = h5o.get_info(item).addr
+            if not isinstance(item, h5g.GroupID) or address in groups or name.count("/") > _DEEPEST:
+                raise RefusedError(f"{name!r} is a type, or a circle of groups, or deeper than {_DEEPEST}")
+            groups.add(address)
+            pending.append((name, item))
+    claimed = sum(n for _, n, _, _, _ in found)
     if claimed > _MOST_INFLATED * n_bytes:
         raise RefusedError(f"its arrays claim {claimed} bytes, more than a file of {n_bytes} can hold")
-    _require_lengths(found)
+    # A column is no longer than what the records, each a chunk of its own, explain.
+    records = [shape for _, n, shape, is_record, _ in found if is_record and n]
+    rows = _SPARE_ROWS + sum(shape[0] for shape in records)
+    longest_axis = max(rows, *(shape[1] for shape in records), 0)
+    for name, _, shape, _, is_float in found:
+        most = longest_axis if is_float and len(shape) == 1 else rows
+        if len(shape) > 2 or max(shape[:1], default=0) > most:
+            raise RefusedError(f"{name!r} has the shape {shape}; the records explain {most}")
 
 
 def _looked_at(name: str, dataset: h5d.DatasetID) -> _Found:
@@ -82,29 +80,18 @@ def _looked_at(name: str, dataset: h5d.DatasetID) -> _Found:
     if layout == h5d.VIRTUAL or made.get_external_count():
         raise RefusedError(f"the values of {name!r} are in other files, which are not followed")
     stored = dataset.get_storage_size()
-    if layout == h5d.COMPACT and stored:
-        return _Found(name, stored)  # HDF5 itself compares its shape with its bytes
+    if layout == h5d.COMPACT and stored:  # HDF5 itself compares its shape with its bytes
+        return name, stored, (), False, False
     filters = [made.get_filter(number)[0] for number in range(made.get_nfilters())]
     if not _FILTERS.issuperset(filters) or len(set(filters)) < len(filters):
         raise RefusedError(f"{name!r} has filters {filters}; a set has shuffle, deflate and Fletcher32 only")
-    stored_type = dataset.get_type()
-    kind = stored_type.get_class()
-    if kind not in _TYPES or (kind == h5t.STRING and stored_type.is_variable_str()):
+    of_type = dataset.get_type()
+    kind = of_type.get_class()
+    if kind not in _TYPES or (kind == h5t.STRING and of_type.is_variable_str()):
         raise RefusedError(f"{name!r} has a type that no set has: numbers and texts of fixed length only")
     shape = dataset.shape
     chunk = made.get_chunk() if layout == h5d.CHUNKED else shape
-    claimed = max(math.prod(shape), math.prod(chunk)) * stored_type.get_size()
+    claimed = max(math.prod(shape), math.prod(chunk)) * of_type.get_size()
     if claimed > stored * (_MOST_INFLATED if h5z.FILTER_DEFLATE in filters else 1):
         raise RefusedError(f"{name!r} claims {claimed} bytes; the file stores {stored} for them")
-    return _Found(name, claimed, shape, chunk, kind == h5t.FLOAT)
-
-
-def _require_lengths(found: list[_Found]) -> None:
-    """Refuse a column longer than what the records, each a chunk of its own, explain."""
-    records = [one for one in found if len(one.shape) == 2 and one.chunk == (1, one.shape[1])]
-    rows = _SPARE_ROWS + sum(one.shape[0] for one in records if one.n_bytes)
-    samples = max((one.shape[1] for one in records), default=0)
-    for one in found:
-        most = max(rows, samples) if one.is_float and len(one.shape) == 1 else rows
-        if len(one.shape) > 2 or max(one.shape[:1], default=0) > most:
-            raise RefusedError(f"{one.name!r} has the shape {one.shape}; the records explain {most}")
+    return name, claimed, shape, len(shape) == 2 and chunk == (1, shape[1]), kind == h5t.FLOAT

@@ -704,13 +704,9 @@ def replay(**options: Any) -> None:
     run_replay(**options)
 
 
+@plain_output()
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
-    with plain_output():
-        _main()
-
-
-def _main() -> None:
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Abort:

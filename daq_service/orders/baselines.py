@@ -22,9 +22,7 @@ class RenewalArguments(TransducerArguments):
     note: Annotated[
         str,
         Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
-        AfterValidator(
-            partial(require_written, message="say why the baseline is retired")
-        ),
+        AfterValidator(partial(require_written, message="say why the baseline is retired")),
     ]
 
 

@@ -292,11 +292,6 @@ def hold_lock(
         yield
 
 
-def lock_of(path: Path) -> Path:
-    """Return the lock of a file that `one_at_a_time` guards; it stays when the file is gone."""
-    return path.with_suffix(".lock")
-
-
 @contextmanager
 def one_at_a_time(path: Path) -> Iterator[None]:
     """Let processes and threads change a file one after the other, by a lock beside it.
@@ -306,7 +301,7 @@ def one_at_a_time(path: Path) -> Iterator[None]:
     OSError
         The lock cannot be made, or somebody held it all the time.
     """
-    lock = lock_of(path)
+    lock = path.with_suffix(".lock")
     with patiently(lambda: lock.open("a+b")) as file:
         refusals = (BlockingIOError, PermissionError)
         patiently(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))

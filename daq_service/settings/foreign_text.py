@@ -88,8 +88,7 @@ def plain_output() -> Iterator[None]:
     before = {name: getattr(sys, name) for name in ("stdout", "stderr")}
     try:
         for name, stream in before.items():
-            if stream is not None:
-                setattr(sys, name, PlainStream(stream))
+            setattr(sys, name, stream and PlainStream(stream))
         yield
     finally:
         for name, stream in before.items():

@@ -93,8 +93,7 @@ class BoundedHttp(HttpToolsProtocol):
     def _others_wait(self) -> bool:
         """Whether more wait than may; a proxy sends complete requests, so its many users count little."""
         waiting = self._all_waiting()
-        address = self.client[:1] if self.client else None
-        own = sum(one.client is not None and one.client[:1] == address for one in waiting)
+        own = sum((one.client or ("",))[0] == (self.client or ("",))[0] for one in waiting)
         return len(waiting) > MOST_WAITING or own > MOST_WAITING_OF_ADDRESS
 
     def _waited(self) -> None:

@@ -26,8 +26,6 @@ EVENTS = "/api/v1/stream"
 """Of each test. No browser shows a foreign page what it reads there, but it would take one of the streams."""
 STREAMS_AT_ONCE = 8
 """Begun before everybody else has been looked at: a thousand come back together when the service is there."""
-ONCE = ("host", "origin", "sec-fetch-site", "authorization", "content-length")
-"""Headers of which a proxy and this service could each believe another one."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -152,16 +150,7 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
             "Clear the cookies of this address.",
         )
-    repeated = next((name for name in ONCE if len(headers.getlist(name)) > 1), None)
-    if repeated is not None:
-        return Problem(
-            400,
-            "repeated-header",
-            "A header is repeated",
-            f"The request has more than one header {repeated!r}.",
-            "Send it once; a proxy must replace it.",
-        )
-    host = headers.get("host", "")
+    host = _all_of(headers, "host")
     if _hostname(f"//{host}") not in names:
         return Problem(
             400,
@@ -171,12 +160,9 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             "Open the address that the service printed, or name this one in web.host_names.",
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
-    origin = headers.get("origin")
-    reads_across = (
-        "/api/" in scope["path"]
-        and headers.get("sec-fetch-site") == "cross-site"
-        and _hostname(origin or "") not in names
-    )
+    origin = _all_of(headers, "origin")
+    is_foreign = "cross-site" in _all_of(headers, "sec-fetch-site") and _hostname(origin) not in names
+    reads_across = "/api/" in scope["path"] and is_foreign
     if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers)):
         return Problem(
             403,
@@ -199,9 +185,14 @@ def _hostname(address: str) -> str | None:
         return None
 
 
+def _all_of(headers: Headers, name: str) -> str:
+    """Every header of a name in one text: a proxy and this service might believe different ones."""
+    return ", ".join(headers.getlist(name))
+
+
 def same_origin(headers: Headers) -> bool:
     """Tell that no browser of another origin sent this request."""
-    if headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}:
-        return False
-    origin, host = headers.get("origin"), headers.get("host", "")
-    return origin in {None, f"http://{host}", f"https://{host}"}
+    host = _all_of(headers, "host")
+    return _all_of(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _all_of(
+        headers, "origin"
+    ) in {"", f"http://{host}", f"https://{host}"}

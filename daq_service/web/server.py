@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import errno
 import gc
-import logging
 import socket
 import sys
 import threading
@@ -20,8 +19,6 @@ from daq_service.errors import BusyError, UsageError
 from daq_service.settings.web import LOOPBACK, WebSettings
 from daq_service.web.bounded_http import SPARE_CONNECTIONS, BoundedHttp
 from daq_service.web.context import context_of
-
-log = logging.getLogger(__name__)
 
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this bounds a request that hangs in a thread."""
@@ -122,14 +119,11 @@ def most_connections() -> int:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    try:
+    with contextlib.suppress(OSError, ValueError):  # macOS takes no "unlimited"
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
         soft = hard
-    except (OSError, ValueError) as error:  # macOS takes no "unlimited"
-        log.info("at most %d handles: %s", soft, error)
-    if soft == resource.RLIM_INFINITY:
-        return MOST_CONNECTIONS
-    fit = soft - KEPT_HANDLES - OWN_HANDLES - SPARE_CONNECTIONS
+    taken = KEPT_HANDLES + OWN_HANDLES + SPARE_CONNECTIONS
+    fit = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else soft - taken
     return max(min(MOST_CONNECTIONS, fit), 1)
 
 

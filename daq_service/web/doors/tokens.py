@@ -23,7 +23,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import StorageError, StorageUnavailableError, UsageError
-from daq_service.processes.data_folder import lock_of, one_at_a_time
+from daq_service.processes.data_folder import one_at_a_time
 from daq_service.settings.web import WebSettings
 from daq_service.shared_file import read_shared, write_durably
 from daq_service.web.doors.roles import Role
@@ -206,7 +206,7 @@ class KnownTokens:
             self._tokens, self._asked_for = (), True
         was_asked_for = self._asked_for
         # The first token left the lock: a file of tokens that is lost opens nothing after a restart.
-        self._asked_for = was_asked_for or bool(self._tokens) or lock_of(self._path).exists()
+        self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
         if self._asked_for and not was_asked_for and not self._tokens:
             log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
         self._mark = mark
