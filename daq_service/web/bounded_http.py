@@ -13,9 +13,10 @@ HEADERS_WITHIN_S = 10.0
 LARGEST_HEADERS_BYTES = 32 * 1024
 MOST_WAITING, MOST_WAITING_OF_ADDRESS = 256, 64
 """Connections without a complete request: in all, and of one address, which all users of a proxy share."""
-LOOK_EVERY_S = 0.5
+LOOK_EVERY_S = 2.5
+"""Closed for their number at the second look: a thousand programs that connect together take seconds."""
 SPARE_CONNECTIONS = 16
-"""Beyond the limit, answered that there are too many; of more, the one that waits longest is closed."""
+"""Beyond the limit, answered that there are too many. At the limit, the one that waits longest must go."""
 
 
 class BoundedHttp(HttpToolsProtocol):
@@ -35,10 +36,12 @@ class BoundedHttp(HttpToolsProtocol):
         super().connection_made(transport)
         self._await_request()
         most = self.limit_concurrency
-        if most is not None and len(self.connections) > most + SPARE_CONNECTIONS:
+        if most is not None and (over := len(self.connections) - most) >= 0:
             oldest = min(self._all_waiting(), key=lambda one: one._since_s)
-            oldest._request_has_come()
-            oldest.transport.abort()
+            if oldest is not self or over >= SPARE_CONNECTIONS:
+                oldest._request_has_come()
+                oldest.transport.abort()
+                self.connections.discard(oldest)  # at once: this one's request is answered
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop waiting."""
