@@ -164,9 +164,7 @@ class StoreTimings:
     """Where the time of storing went."""
 
     image_s: float
-    write_s: float
     fsync_s: float
-    directory_fsync_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,15 +177,12 @@ class StoredSet:
         Relative to the data folder, with forward slashes.
     crc32
         Sequence of each record to the CRC-32 of its counts: the catalogue's ``shots.crc32``.
-    sha256
-        Of the file; None where it is made later.
     """
 
     file: SetReference
     n_bytes: int
     crc32: Mapping[int, int]
     timings: StoreTimings
-    sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -386,10 +386,10 @@ class Recorder:
         return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
 
     def _stays_open(self, taken: TakenSet) -> bool:
-        """Leave a set that a stop cut short to the next recorder, where the journal keeps it."""
+        """Leave a set that a stop cut short to the next recorder, whose shots the journal keeps."""
         planned = {name: self._ledger.n_planned(name) for name in self._settings.positions}
         cut = self._stop.is_set() and not self._orders.held and taken.trouble is None
-        if not (cut and self._archive.keeps_open_sets) or taken.is_complete(planned):
+        if not cut or taken.is_complete(planned):
             return False
         return self._kept.acknowledge()
 
@@ -471,7 +471,7 @@ class Recorder:
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
             self._doing = f"judging {_named(due)}"
-            transaction = self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
+            transaction = self._ledger.judged(due, record, stored.file, taken.features)
             if machine is not None and due.position is None:
                 moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
                 transaction.tell(MACHINE_READ, machine, moment, topic="machine")

@@ -180,7 +180,7 @@ class Safekeeping:
             if not built:
                 built.append(build())
             self._ledger.commit(built[0])
-            if stored is not None and self._archive.keeps_open_sets:
+            if stored is not None:
                 self.file(stored)
 
         self._backlog.put(job, n_bytes=n_bytes)

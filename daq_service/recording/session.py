@@ -126,7 +126,7 @@ def record(
             catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
         history = HistoryFollower(folder, catalogue)
         history.begin()
-        archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
+        archive = stack.enter_context(closing(FolderArchive(folder)))
 
         def filed(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)

@@ -18,12 +18,12 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from support.archived_sets import SET_INDEX, make_set, other_set
+from support.filed_archive import FiledArchive
 from support.memory_archive import MemoryArchive, bits
 
 from daq_service import shared_file
 from daq_service.archive import (
     ConflictingSetError,
-    FolderArchive,
     FolderSetReader,
     SetReference,
 )
@@ -109,7 +109,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
         if self.catalogue is not None:
             self.catalogue.close()
         self.catalogue = open_catalogue(self.folder, writer=True)
-        self.archive = FolderArchive(self.folder)
+        self.archive = FiledArchive(self.folder)
 
     @rule(index=sets)
     def store(self, index):

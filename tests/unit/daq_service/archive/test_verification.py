@@ -120,7 +120,7 @@ def begun(archive, record):
 @pytest.fixture
 def journal(tmp_path):
     """A whole set and an open one."""
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         begun(archive, make_set())
         archive.store_set(make_set())
         begun(archive, other_set(make_set(), SET_INDEX + 1))

@@ -15,6 +15,7 @@ import pytest
 from support.archived_sets import make_set
 from support.command_line import solimon_here
 from support.damaging import damaged
+from support.filed_archive import FiledArchive
 from support.kept_folder import SETS, lay_out, state_of
 from support.served_web import served
 from support.small_experiment import SMALL, disturbed_rig, rows_of, run, small_settings
@@ -167,7 +168,7 @@ def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder
 
 def test_a_set_of_another_test_or_under_another_name_is_named(folder):
     (folder / FILES[1]).write_bytes((folder / FILES[0]).read_bytes())
-    stranger = FolderArchive(folder).store_set(
+    stranger = FiledArchive(folder).store_set(
         replace(make_set(), provenance={"configuration_hash": "ab" * 32}, trouble="")
     )
     assert kinds(folder) == [
@@ -413,7 +414,7 @@ def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside
     record = FolderSetReader(folder).read_set(FILES[2])
     content = (folder / FILES[2]).read_bytes()
     (folder / FILES[2]).unlink()
-    with closing(FolderArchive(folder, journal=True)) as archive:
+    with closing(FolderArchive(folder)) as archive:
         archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
@@ -541,7 +542,7 @@ def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
 def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     record = FolderSetReader(folder).read_set(FILES[2])
     (folder / FILES[2]).unlink()
-    with closing(FolderArchive(folder, journal=True)) as archive:
+    with closing(FolderArchive(folder)) as archive:
         archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)

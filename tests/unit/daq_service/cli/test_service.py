@@ -185,7 +185,7 @@ def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
     config = tmp_path / "test.toml"
     config.write_text(
         "[schedule]\nend_h = 0.5\nshots_per_set = 1\n[baseline]\nminimum_valid_shots = 1\n"
-        "[plate]\nelements_per_edge = 16\n[storage]\njournal = false\n",
+        "[plate]\nelements_per_edge = 16\n",
         encoding="utf-8",
     )
     with notify_socket(tmp_path) as (environment, heard):

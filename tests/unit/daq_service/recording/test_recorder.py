@@ -230,7 +230,7 @@ class SlowWorker:
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
     monkeypatch.setattr("daq_service.recording.safekeeping.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
-    assert line.run(archive=MemoryArchive(line.shelf, journal=True), compaction=worker)
+    assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
     assert states(line, "B") == ["done"] * SETS
 
@@ -271,7 +271,7 @@ def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
 
 def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
     line.settings = memory_settings(clock={"kind": "wall"})
-    volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf, journal=True), []
+    volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf), []
     assert line.run(
         disk=volume.watch(),
         mono_s=Seconds(),
@@ -499,11 +499,11 @@ def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
 
 def stopped_in_a_set(line, key, **options):
     """Run with a journal until a shot, after which a stop or a kill comes."""
-    archive, stop = MemoryArchive(line.shelf, journal=True), threading.Event()
+    archive, stop = MemoryArchive(line.shelf), threading.Event()
     line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
     assert not line.run(stop=stop, archive=archive, **options)
     line.script = healthy
-    return MemoryArchive(line.shelf, journal=True)
+    return MemoryArchive(line.shelf)
 
 
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
@@ -561,11 +561,11 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
     line.script = script
     with pytest.raises(Killed):
-        line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+        line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
     (opened,) = line.shelf.open.values()
     assert [item.sequence for item in opened.records] == told == [1, 2, 3]
     line.script = healthy
-    assert line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
     assert told == sorted(set(told))
     assert len(told) == len(line.rows("shots"))
     assert states(line, "B") == ["done"] * SETS
@@ -574,7 +574,7 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
     """A set of the paper takes two minutes: nobody should wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
-    archive, told = MemoryArchive(line.shelf, journal=True), []
+    archive, told = MemoryArchive(line.shelf), []
     sync, refusals = archive.sync, iter([True] * 4)
 
     def refusing():
