@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from daq_service.archive.records import (
     Damage,
+    JournalDamage,
     MissedRecord,
     OpenSet,
     Places,
@@ -92,7 +93,14 @@ class Archive(SetReader, Protocol):
 
     A set may be taken in record by record (`begin_set`, `append`, `sync`, then `store_set`) or be stored at
     once. What `sync` acknowledged of a set that is never stored is there after a restart.
+
+    Attributes
+    ----------
+    journal_damage
+        What was found damaged when it was opened.
     """
+
+    journal_damage: JournalDamage
 
     def begin_set(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]

@@ -75,6 +75,7 @@ class FolderArchive(FolderSetReader):
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
+        self.journal_damage = self._kept.damage
         # Frames that share a segment with others outlive their set, whose first segments may be gone.
         for index in [index for index, item in self._kept.left.items() if not item.is_whole]:
             if index in self._files():
@@ -122,6 +123,13 @@ class FolderArchive(FolderSetReader):
     def resume_set(self, opened: OpenSet) -> None:
         """Go on with an open set: what comes is added to what is durable."""
         self._begun[opened.set_index] = {record.sequence for record in opened.records}
+        if not opened.is_dated:
+            self._kept.begin(
+                opened.set_index,
+                due_utc_ns=opened.due_utc_ns,
+                started_utc_ns=opened.started_utc_ns,
+                retired=opened.retired,
+            )
 
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; when this returns every record of it is acknowledged."""
@@ -179,7 +187,6 @@ class FolderArchive(FolderSetReader):
             if source.exists():
                 move_aside(self.folder, reference)
             else:
-                (self.folder / QUARANTINE_FOLDER).mkdir(exist_ok=True)
                 self._kept.set_aside(self._index_of(reference), source.name)
         except OSError as error:
             raise _refused(source, error) from error

@@ -6,13 +6,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
 from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
-from daq_service.alarms.states import Moment
+from daq_service.alarms.states import Condition, Moment
 from daq_service.archive import Archive, SetRecord, StoredSet
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.history import HistoryFollower
@@ -221,6 +220,7 @@ class Safekeeping:
             self._history.follow()
         if self._idle_check is not None and self.trouble is None:
             self._idle_check.work(free_s)
+        if self.trouble is None:
             self._tell_damage()
         if self._tiling is not None:
             self._tiling.work(free_s)
@@ -280,20 +280,29 @@ class Safekeeping:
         condition = space_condition(
             space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
-        with suppress(*PASSING):  # the event follows when the disk takes it
-            self._ledger.tell(condition, self._moment())
+        self._tell_surely(condition)
+
+    def _tell_surely(self, condition: Condition) -> None:
+        """Store an alarm now, or as soon as the catalogue takes it."""
+        job = partial(self._ledger.tell, condition, self._moment())
+        try:
+            job()
+        except PASSING as error:
+            log.warning("the alarm is stored later: %s", error)
+            self._backlog.put(job)
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
         if trouble is not None:
             self._told_trouble = trouble.message
-        condition = storage_condition(self._told_trouble, present=trouble is not None)
-        try:
-            if trouble is None:  # on record even if the catalogue itself was what took nothing
-                self._ledger.tell(storage_condition(self._told_trouble, present=True), self._moment())
-            self._ledger.tell(condition, self._moment())
-        except PASSING as error:
-            log.warning("the alarm is not stored: %s", error)
+            try:
+                self._ledger.tell(storage_condition(trouble.message, present=True), self._moment())
+            except PASSING as error:
+                log.warning("the alarm is not stored: %s", error)
+        else:  # on record even if the catalogue itself was what took nothing
+            self._tell_surely(storage_condition(self._told_trouble, present=True))
+            self._tell_surely(storage_condition(self._told_trouble, present=False))
+            self._told_compaction = ""  # what still has no file is reported again
         self._on_trouble()
 
     def _tell_compaction(self, trouble: str) -> None:
@@ -302,19 +311,20 @@ class Safekeeping:
             return
         message = trouble or self._told_compaction
         self._told_compaction = trouble
-        condition = storage_condition(message, present=bool(trouble), waits_in="journal")
-        with suppress(*PASSING):  # it is in the log; the disk's own trouble follows with the next set
-            self._ledger.tell(condition, self._moment())
+        self._tell_surely(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _tell_damage(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
-        damaged = {} if self._idle_check is None else self._idle_check.damaged
+        damaged = dict(self._archive.journal_damage.files)
+        for helper in (self._compaction, self._idle_check):
+            damaged |= {} if helper is None else helper.damaged
         if damaged == self._told_damaged and not at_the_start:
             return
         new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
-        self._told_damaged = dict(damaged)
+        self._told_damaged = damaged
         for file, told in new.items():
             log.error("%s: %s", file, told)
             self.say("data_damaged", {"file": file, "told": told})
-        condition = damage_condition(self._archive.quarantined(), damaged)
+        aside = [file for file in self._archive.quarantined() if file not in damaged]
+        condition = damage_condition(aside, damaged)
         self._backlog.put(partial(self._ledger.tell, condition, self._moment()))

@@ -23,7 +23,7 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import ordered, set_reference
+from daq_service.archive.records import JournalDamage, ordered, set_reference
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
@@ -49,6 +49,7 @@ class MemoryArchive:
     """
 
     name = "memory"
+    journal_damage = JournalDamage()
 
     def __init__(self, shelf: Shelf | None = None) -> None:
         self.shelf = Shelf() if shelf is None else shelf

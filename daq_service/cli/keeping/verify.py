@@ -14,6 +14,7 @@ from pathlib import Path
 
 from daq_service.archive import SetNotFoundError, SetRecord, SetReference
 from daq_service.archive.errors import BACK
+from daq_service.archive.journal.checking import CheckedJournal, check_journal
 from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
@@ -21,7 +22,7 @@ from daq_service.archive.records import (
     referenced_sets,
     set_reference,
 )
-from daq_service.archive.verification import CheckedJournal, check_file, check_journal
+from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment

@@ -100,6 +100,7 @@ def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, t
         making.put(index)
     making.try_again()
     assert (len(files(tmp_path)), making.waits) == (1, False)
-    assert "its frame in the journal is damaged" in making.trouble
+    ((_, reason),) = making.damaged.items()
+    assert "its frame in the journal is damaged" in reason
     archive.close()
     assert segment.exists()
