@@ -37,6 +37,8 @@ def run(line: Line, **options: Any) -> None:
     line.run(archive=archive, **options)
     archive.close()
     with line.catalogue(writer=True) as catalogue:
+        for set_index, file in catalogue.without_digest().items():
+            catalogue.set_digest(set_index, file, archive.digest(file))
         keep_experiment(line.folder, catalogue.experiment_row())
         HistoryFollower(line.folder, catalogue).begin()
 
