@@ -26,7 +26,7 @@ from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import parsed, read_history
+from daq_service.catalogue.history import lost_rows, parsed, read_history
 from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.keeping.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
@@ -165,6 +165,9 @@ def check_experiment(look: Look) -> Iterator[Finding]:
         return
     look.checked["lines_of_history"] = history.last_number
     last_id = max(history.events, default=0)
+    if last_id and look.catalogue is not None and not look.catalogue.has_event(history.events[last_id]):
+        # A recorder, too, appends to the history what the catalogue has.
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=lost_rows(last_id))
     # A folder from before there was either gets them with its next start.
     older = history.last_number == 0 and not (look.folder / EXPERIMENT_FILE).exists()
     cut_off = [] if older else _lines_cut_off(look, last_id, running=running)

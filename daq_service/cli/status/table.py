@@ -94,7 +94,8 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     for told in _gaps(facts["gaps"]):
         yield "gap", told, "yellow"
     for file, what in facts["lost"].items():
-        yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
+        remedy = "" if "solimon" in what else "; solimon repair --from BACKUP brings it back"
+        yield "LOST", f"{file} {what}{remedy}", "bold red"
     yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
     yield from (("verdict", *told) for told in _verdicts(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):

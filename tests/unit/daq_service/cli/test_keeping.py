@@ -24,10 +24,12 @@ from daq_service.archive import FolderArchive, FolderSetReader
 from daq_service.archive.compaction import compact_set
 from daq_service.archive.journal.reader import segment_path
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.tables import KINDS as KINDS_OF_ROWS
 from daq_service.cli.keeping import backup, command
 from daq_service.cli.keeping.backup import back_up
 from daq_service.cli.keeping.verify import KINDS, verify_folder
+from daq_service.cli.status.facts import describe_status
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.judgement.results import results_in
 from daq_service.orders.audit import Audit
@@ -164,6 +166,20 @@ def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
+
+
+def test_an_older_copy_of_the_catalogue_is_named_by_verify_and_status(folder):
+    older = (folder / "catalogue.sqlite").read_bytes()
+    with open_catalogue(folder, writer=True) as catalogue:
+        catalogue.add_event(utc_ns=1, topic="service", kind="recorder_stopped", payload={})
+        HistoryFollower(folder, catalogue).begin()
+    assert kinds(folder) == []
+    assert describe_status(*reversed(settings_of_folder(None, folder)))["lost"] == {}
+    (folder / "catalogue.sqlite").write_bytes(older)
+    assert kinds(folder) == [("catalogue", "catalogue.sqlite", None)]
+    ((file, what),) = describe_status(*reversed(settings_of_folder(None, folder)))["lost"].items()
+    assert file == "catalogue.sqlite"
+    assert "solimon rebuild" in what
 
 
 def test_a_set_of_another_test_or_under_another_name_is_named(folder):
