@@ -327,7 +327,7 @@ class Recorder:
             return retired
         now_ns = self._rig.clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
-            return OVERSLEPT
+            return self._kept.hindered(due.due_utc_ns) or OVERSLEPT
         beside = self._ledger.confirmations
         return no_room(beside.room_ns(planned, now_ns), beside.set_ns)
 
@@ -619,8 +619,8 @@ class Recorder:
         over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
         if self._rig.clock.utc_ns() < over_ns:
             return False
-        cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), OVERSLEPT)
-        self._gap(due, cause)
+        cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), "")
+        self._gap(due, cause or self._kept.hindered(due.due_utc_ns) or OVERSLEPT)
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:

@@ -109,6 +109,7 @@ class Safekeeping:
         self._told_ids: set[int] = set()
         self._told_damaged: dict[str, str] = {}
         self._told_trouble = self._told_compaction = ""
+        self._trouble_until_ns = -1
         self._backlog = Backlog(
             limit_bytes=limit_bytes, on_change=self._tell_trouble, refusal=self._refusal, mono_s=mono_s
         )
@@ -129,6 +130,11 @@ class Safekeeping:
         if self.trouble is None:
             return ""
         return f"{len(self._backlog)} jobs wait in memory for the disk: {self.trouble.message}"
+
+    def hindered(self, since_utc_ns: int) -> str:
+        """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
+        is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
+        return "" if is_over else f"the recorder waited for the disk: {self._told_trouble}"
 
     # Shots and sets -------------------------------------------------------------------------------
 
@@ -293,6 +299,7 @@ class Safekeeping:
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
+        self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
             self._told_trouble = trouble.message
             try:

@@ -10,6 +10,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
+from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
 from daq_service.recording.backlog import Backlog
@@ -180,6 +181,26 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
     assert line.run(mono_s=Seconds())
     assert_same_rows(line, whole)
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
+
+
+def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_cause(line, monkeypatch):
+    line.settings = memory_settings(clock={"kind": "wall"})
+    clock, commit, failures = (
+        SimulatedClock(parse_utc(line.settings.clock.epoch)),
+        RecorderCatalogue.commit_set,
+        iter([True] * 2),
+    )
+
+    def failing(catalogue, transaction):
+        if any(row.set_index == 4 for row in transaction.sets) and next(failures, False):
+            clock.wait_until(clock.utc_ns() + 2 * 1800 * 10**9, lambda: True)
+            raise CatalogueBusyError("database is locked")
+        return commit(catalogue, transaction)
+
+    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    assert line.run(clock=clock, mono_s=Seconds())
+    missed = {row.cause for row in line.rows("sets", "B") if row.state == "missed"}
+    assert missed == {"the recorder waited for the disk: database is locked"}
 
 
 def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
