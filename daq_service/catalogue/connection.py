@@ -91,7 +91,9 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: patiently(connected, is_refusal=lambda e: _is_held(e) and path.parent.is_dir()),
+        creator=lambda: patiently(
+            connected, is_refusal=lambda e: _is_held(e) and path.parent.is_dir(), report_after_s=0.0
+        ),
         poolclass=QueuePool,
         max_overflow=-1,
         json_serializer=json_text,
