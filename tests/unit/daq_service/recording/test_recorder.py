@@ -228,7 +228,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
 class SlowWorker:
     """Finishes a set at every fourth look."""
 
-    trouble = ""
+    trouble, damaged = "", {}
 
     def __init__(self):
         self.n_under_way = self.most = self.looks = 0
@@ -254,6 +254,21 @@ def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
     assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
     assert states(line, "B") == ["done"] * SETS
+
+
+def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_it_first(line, monkeypatch):
+    worker, commit, refusals = SlowWorker(), RecorderCatalogue.commit_set, iter([True] * 3)
+    worker.trouble = "no file can be made"
+
+    def failing(catalogue, transaction):
+        if any(row.kind == "storage_unavailable" for row in transaction.alarms) and next(refusals, False):
+            raise CatalogueBusyError("database is locked")
+        return commit(catalogue, transaction)
+
+    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    assert line.run(compaction=worker, mono_s=Seconds())
+    (alarm,) = [row for row in line.alarms() if row.kind == "storage_unavailable"]
+    assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
 
 
 class Volume:
