@@ -197,7 +197,8 @@ def translated(error: Exception, doing: str) -> InstrumentError:
         return _from_status(error, doing)
     if isinstance(error, vendor.RpcError):
         code = getattr(error.rpc_code, "name", str(error.rpc_code))
-        return _from_rpc(code, str(error.description), doing, reason=_grpc_reason(error.__context__))
+        texts = (str(error.description), _grpc_reason(error.__context__))
+        return _from_rpc(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
     if isinstance(error, vendor.DaqNotFoundError):
         return ConfigurationError(
             f"{doing}: NI-DAQmx is not installed on this computer; install NI's driver, or use a chassis "
@@ -274,9 +275,7 @@ def _grpc_reason(error: BaseException | None) -> str:
     return str(error.details() or "") if hasattr(error, "details") else ""
 
 
-def _from_rpc(code: str, text: str, doing: str, reason: str = "") -> InstrumentError:
-    if reason and reason not in text:
-        text = f"{text}: {reason}"
+def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
     kind = ConfigurationError if code in RPC_CONFIGURATION else ConnectionLostError
     remedy = (
         "check the address, version and rights of the gRPC device server"
