@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 
 from daq_service.web.notifications.addresses import Address
 from daq_service.web.notifications.messages import Message
@@ -16,6 +17,8 @@ def notify(address: Address, message: Message) -> Outcome:
     """
     import apprise
 
+    # The package requests would lend a receiver the passwords of a .netrc.
+    os.environ["NETRC"] = os.devnull
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)
     # In this thread, which is the receiver's own.
     door = apprise.Apprise(asset=apprise.AppriseAsset(async_mode=False))

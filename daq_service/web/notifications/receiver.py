@@ -178,7 +178,11 @@ class ReceiverLine:
         for row in rows:
             assert row.id is not None, "it is stored"
             self._seen = row.id
-            news = news_of(row)
+            try:
+                news = news_of(row)
+            except (KeyError, TypeError, ValueError, AttributeError):
+                log.exception("event %s cannot be read and is not sent", row.id)
+                news = None
             rule = None if news is None else rule_of(news, self.name, self._settings.rules)
             if row.id in self._settled:
                 continue
@@ -270,6 +274,8 @@ class ReceiverLine:
             return send(message)
         except UsageError as error:  # a secret that is gone meanwhile: it may come back
             return Outcome(ok=False, told=str(error))
+        except Exception as error:  # noqa: BLE001 - of a package or a reply; its text may repeat the address
+            return Outcome(ok=False, told=f"it could not be sent ({type(error).__name__})")
 
     # Signs of life
 

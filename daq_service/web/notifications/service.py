@@ -130,7 +130,7 @@ class Notifications:
             try:
                 pause_s = line.step()
                 self.why_silent = ""
-            except (SolimonError, OSError) as error:
+            except Exception as error:  # noqa: BLE001 - the next message may be delivered
                 self._tell_trouble(str(error))
                 pause_s = TROUBLE_PAUSE_S
             self._stop.wait(pause_s)

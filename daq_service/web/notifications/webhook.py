@@ -193,7 +193,7 @@ def _seconds(text: str | None, now_s: float) -> float:
         return 0.0
     try:
         wanted_s = float(text) if text.isdigit() else parsedate_to_datetime(text).timestamp() - now_s
-    except ValueError:
+    except (ValueError, TypeError, OverflowError):
         log.debug("a Retry-After that is neither seconds nor a date")
         return 0.0
     return min(max(0.0, wanted_s), LONGEST_RETRY_AFTER_S)

@@ -6,6 +6,7 @@ import pytest
 from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
+from daq_service.web.notifications import receiver as receiver_module
 from daq_service.web.notifications.messages import MOST_TOLD
 from daq_service.web.notifications.receiver import MOST_REFUSALS, is_dead
 from daq_service.web.notifications.webhook import Outcome
@@ -382,3 +383,26 @@ def test_a_trial_says_so_and_moves_no_cursor(made):
     assert message.title.startswith("TEST, no alarm")
     assert message.text.startswith("ann tries whether duty is reached")
     assert len(bench.run()) == 1
+
+
+def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(made, monkeypatch, caplog):
+    bench = made()
+    outcomes = iter([LookupError("mailto://ann:secret@host"), RecursionError(), None])
+    send = bench.line._send
+
+    def fail(message):
+        error = next(outcomes)
+        if error is not None:
+            raise error
+        return send(message)
+
+    monkeypatch.setattr(bench.line, "_send", fail)
+    unreadable, readable = bench.alarms.change("hole"), bench.alarms.change("no_data")
+    read = receiver_module.news_of
+    monkeypatch.setattr(
+        receiver_module, "news_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+    )
+    assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
+    assert bench.told("sent")[0].event_ids == [readable]
+    assert [line.told for line in bench.told("failing")] == ["it could not be sent (LookupError)"]
+    assert f"event {unreadable} cannot be read and is not sent" in caplog.text

@@ -234,3 +234,36 @@ def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkey
     pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Mon, 01 Jan 99999999999999999999 00:00:00 GMT",
+        "Mon, 01 Jan 2024 00:00:00 +99999999999999999999",
+        "Mon, 99 Jan 2024 00:00:00 GMT",
+        "9" * 5000,
+        "\N{SUPERSCRIPT TWO}",
+        "-1",
+        "soon",
+        "",
+    ],
+)
+def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
+    receiver.answers.put((503, {"Retry-After": header}))
+    outcome = sent(receiver)
+    assert (outcome.ok, outcome.status) == (False, 503)
+    assert 0.0 <= outcome.retry_after_s <= LONGEST_RETRY_AFTER_S
+
+
+@pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
+def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatch, tmp_path):
+    pool = ThreadPoolExecutor()
+    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{own}", pool)
+    (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    assert notify(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
+    pool.shutdown()
+    assert "Authorization" not in receiver.next().headers

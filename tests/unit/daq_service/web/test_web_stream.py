@@ -249,6 +249,25 @@ def test_a_stream_beats_before_the_catalogue_can_be_read(tmp_path):
     asyncio.run(body())
 
 
+def test_no_error_of_the_source_ends_the_tail(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("daq_service.web.streams.hub.UNREADABLE_INTERVAL_S", 0.0)
+
+    async def body(source, context, hub):
+        errors, after = [ValueError("no JSON"), KeyError("payload"), RecursionError()], source.after
+
+        def fail(event_id, limit):
+            if errors and event_id:
+                raise errors.pop()
+            return after(event_id, limit)
+
+        source.after = fail
+        source.add(1)
+        await hub_reached(hub, 2)
+
+    run_with_hub(tmp_path, body)
+    assert caplog.text.count("cannot read events") == 3
+
+
 def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
     """REST reads the catalogue itself and may be ahead of the tail by one poll."""
 
