@@ -272,7 +272,7 @@ def _from_status(error: Exception, doing: str) -> InstrumentError:
 
 def _grpc_reason(error: BaseException | None) -> str:
     """Return gRPC's own words: NI's package puts "Failed to connect to server" in place of every reason."""
-    return str(error.details() or "") if hasattr(error, "details") else ""
+    return str(getattr(error, "details", str)() or "")
 
 
 def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
