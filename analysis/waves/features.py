@@ -41,13 +41,7 @@ from analysis.waves.disturbance import (
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
-from analysis.waves.quality_gate import (
-    DISTURBED,
-    FLAGS,
-    INVALIDATING_FLAGS,
-    LOST_SAMPLES,
-    MINIMUM_VALID_SHOTS,
-)
+from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
     MAD_TO_SD,
     ExtractionSettings,
@@ -301,7 +295,7 @@ def _extracted(
     ]
     # What something else started looks like a wave at times, and so does what is left of a record.
     measured: list[dict[str, Any]] = [
-        _measured(record, found, settings) if {"false_trigger", LOST_SAMPLES}.isdisjoint(flags) else {}
+        _measured(record, found, settings) if {"false_trigger", "lost_samples"}.isdisjoint(flags) else {}
         for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
     return [
@@ -334,7 +328,7 @@ def _flags_of_pulses(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float
 ) -> tuple[set[str], float]:
     still = unmoved(record, rate_hz)
-    if LOST_SAMPLES in still:
+    if "lost_samples" in still:
         return still, math.nan
     spiked, stirred = _at_trigger(record)
     if spiked:

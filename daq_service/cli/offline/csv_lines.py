@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import codecs
+import re
 from itertools import takewhile
 from pathlib import Path
 
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 
+SEPARATOR_LINE = re.compile("sep=.", re.IGNORECASE)
 COMMENTS = "comments stand before all other lines: move it there, or take it out"
 
 
@@ -16,18 +19,20 @@ class NoTableError(UsageError):
 
 
 def csv_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Read the comments that a file in UTF-8 begins with, and its other lines; empty ones are none.
+    """Read the comments that a file begins with, and its other lines; empty ones are none.
+
+    It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
 
     Raises
     ------
     NoTableError
-        It is not in UTF-8.
+        It is in neither.
     OSError
         It cannot be read.
     """
     content = read_shared(path)
     try:
-        text = content.decode("utf-8").removeprefix("\ufeff")
+        text = _decoded(content).removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         *before, line = content[: error.start + 1].splitlines()
         raise NoTableError(
@@ -35,8 +40,16 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
             f"0x{line[-1]:02x}; save it as UTF-8"
         ) from error
     lines = [line for line in text.splitlines() if line.strip()]
+    if lines and SEPARATOR_LINE.fullmatch(lines[0].strip()):
+        del lines[0]
     comments = list(takewhile(is_comment, lines))
     return comments, lines[len(comments) :]
+
+
+def _decoded(content: bytes) -> str:
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) and len(content) % 2 == 0:
+        return content.decode("utf-16")
+    return content.decode("utf-8")
 
 
 def is_comment(line: str) -> bool:
