@@ -96,9 +96,8 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
         return False
     highest = np.flatnonzero(at_top)
     code_v = highest_v - float(top[~at_top].max(initial=float(top.min())))
-    by_code = LAST_CODE * math.sqrt(
-        (code_v + 2.0 * min(record.noise_rms_v, code_v)) / (highest_v - record.offset_v)
-    )
+    code_v += 2.0 * min(record.noise_rms_v, code_v)
+    by_code = LAST_CODE * math.sqrt(code_v / (highest_v - record.offset_v))
     return bool(highest[-1] - highest[0] > max(LONGEST_TOP, by_code) * fwhm_s * rate_hz)
 
 

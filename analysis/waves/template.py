@@ -130,24 +130,19 @@ def without_residue(shots: Sequence[ShotFeatures], usual_ratio: float | None) ->
         Amplitude ratio of the transducer's baseline; None: not known.
     """
     limit = WEAKEST_REFLECTION * (usual_ratio or 0.0)
-    return [
-        _without_reflection(shot) if shot.amplitude_ratio < limit and not shot.compared else shot
-        for shot in shots
-    ]
+    return [_silent(shot) if shot.amplitude_ratio < limit and not shot.compared else shot for shot in shots]
 
 
-def _without_reflection(shot: ShotFeatures) -> ShotFeatures:
+def _silent(shot: ShotFeatures) -> ShotFeatures:
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
     return graded(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
 
 
 def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
-    known = ("isw_", "noise_")
-    unknown: dict[str, Any] = dict.fromkeys(
-        (name for name in ALL_FEATURE_NAMES if not name.startswith(known)), math.nan
-    )
-    return replace(shot, **unknown)
+    unknown = [name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))]
+    nothing: dict[str, Any] = dict.fromkeys(unknown, math.nan)
+    return replace(shot, **nothing)
 
 
 def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import re
 from itertools import takewhile
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 
-SEPARATOR_LINE = re.compile("sep=.", re.IGNORECASE)
+NO_LINE = re.compile(r"\s*|sep=.\s*", re.IGNORECASE)
 COMMENTS = "comments stand before all other lines: move it there, or take it out"
 
 
@@ -31,25 +30,18 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
         It cannot be read.
     """
     content = read_shared(path)
+    wide = content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0
     try:
-        text = _decoded(content).removeprefix("\ufeff")
+        text = content.decode("utf-16" if wide else "utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         *before, line = content[: error.start + 1].splitlines()
         raise NoTableError(
             f"{path} is no CSV file in UTF-8: byte {len(line)} of line {len(before) + 1} is "
             f"0x{line[-1]:02x}; save it as UTF-8"
         ) from error
-    lines = [line for line in text.splitlines() if line.strip()]
-    if lines and SEPARATOR_LINE.fullmatch(lines[0].strip()):
-        del lines[0]
+    lines = [line for line in text.splitlines() if not NO_LINE.fullmatch(line)]
     comments = list(takewhile(is_comment, lines))
     return comments, lines[len(comments) :]
-
-
-def _decoded(content: bytes) -> str:
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) and len(content) % 2 == 0:
-        return content.decode("utf-16")
-    return content.decode("utf-8")
 
 
 def is_comment(line: str) -> bool:

@@ -32,8 +32,8 @@ from daq_service.errors import UsageError
 
 MANY_RECORDS = 2_000
 """More take longer than a second, so that progress is told."""
-LARGEST_V = 1e100
-"""Beyond, a record's energy is no number."""
+LARGEST_V = 1e30
+"""Above, a value is no volts but an instrument's overload (9.9E37)."""
 LOOKED_AT = 50
 """Records of a file, evenly spread, that say how wide its waves are."""
 

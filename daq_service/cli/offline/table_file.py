@@ -23,8 +23,8 @@ SEPARATORS = ";\t,"
 """Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
 MISSING = re.compile(r"|n/?a|nan|nil|null|none|-|[+-]?ol|ovld|overload", re.IGNORECASE)
 """What stands in a cell without a value; the last ones are an instrument's overload."""
-OVERLOAD_FROM, OVERLOAD_TO, NO_READINGS = 9.89e37, 1.01e38, (-999.0, -9999.0, -99999.0)
-"""Magnitude of the numbers that stand for an overload (SCPI: 9.9E37, 9.91E37), and others for no reading."""
+OVERLOAD, NO_READINGS = 1e38, (-999.0, -9999.0, -99999.0)
+"""Numbers that stand for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
 NAMES_SHOWN = 12
 ROWS_BY_NAME = re.compile(
     r"unnamed: \d+|__index_level_\d+__|level_\d+|index|idx|#|no|nr|number|(.*[_ ])?(id|uid|uuid|guid)"
@@ -110,7 +110,7 @@ def read_table(
             "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     for name in chosen:
-        if name in kept or reasons[name] == NO_NUMBERS:
+        if not isinstance(columns[name], np.ndarray) and (name in kept or reasons[name] == NO_NUMBERS):
             _refuse_nearly(path, name, columns[name], decimal)
     vectors = np.stack(list(kept.values()), axis=1)
     if baseline_where is None:
@@ -147,8 +147,6 @@ def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
 
 def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
     """Refuse a column of numbers with something else in a cell, or with two decimal marks."""
-    if isinstance(column, np.ndarray):
-        return
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
@@ -213,8 +211,7 @@ def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
     total = next(filter(TOTAL.fullmatch, body[-1]), "") if body else ""
     if total and not any(total in row for row in body[:-1]):
         raise NoTableError(f"{path}: the last row is {total!r} of the others, not a set: take it out")
-    places = {name: header.index(name) for name in header}
-    return {name: [row[k] for row in body] for name, k in places.items()}, decimal
+    return {name: [row[header.index(name)] for row in body] for name in header}, decimal
 
 
 def _trim(header: list[str], body: list[list[str]]) -> None:
@@ -302,8 +299,7 @@ def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
 
 
 def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    size = np.abs(values)
-    over = (size >= OVERLOAD_FROM) & (size <= OVERLOAD_TO)
+    over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 

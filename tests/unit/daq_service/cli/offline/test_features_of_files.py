@@ -2,6 +2,7 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -243,6 +244,45 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
 def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
     assert words in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("changed", "encoding"),
+    [
+        (lambda lines: [line + "," for line in lines], "utf-8"),  # separators at line ends
+        (lambda lines: ["sep=;", *(line.replace(",", ";").replace(".", ",") for line in lines)], "utf-8-sig"),
+        (lambda lines: [line.replace(",", "\t") for line in lines], "utf-16"),
+        (lambda lines: [",".join(map(str, range(13_000))), *lines], "utf-8"),  # columns' numbers
+        (
+            lambda lines: (
+                ["," + ",".join(map(str, range(13_000)))] + [f"{k},{v}" for k, v in enumerate(lines)]
+            ),
+            "utf-8",
+        ),
+    ],
+)
+def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, encoding):
+    lines = [",".join(f"{v:.4f}" for v in record) for record in volts(n=3)]
+    for name, content, code in (("a.csv", lines, "utf-8"), ("b.csv", changed(lines), encoding)):
+        (tmp_path / name).write_text("\n".join(content), encoding=code)
+    expected, found = told(tmp_path / "a.csv"), told(tmp_path / "b.csv")
+    assert [{**row, "file": ""} for row in found] == [{**row, "file": ""} for row in expected]
+    assert [row["flags"] for row in found] == [[]] * 3
+
+
+@pytest.mark.parametrize("overload", [9.9e37, -9.91e37, 1e38, np.inf])
+def test_an_overload_costs_its_record_only(tmp_path, overload):
+    values = volts(n=4)
+    values[1, 1_500:1_600] = overload
+    rows = told(saved(tmp_path, values))
+    assert [row["flags"] for row in rows] == [[], ["disturbed"], [], []]
+    assert rows[1]["isw_amplitude_v"] is None
+
+
+def test_an_hdf5_file_of_another_program_is_refused_with_what_to_do(tmp_path):
+    with h5py.File(tmp_path / "matlab.h5", "w", userblock_size=512) as file:
+        file.create_dataset("waves", data=volts(n=1)).attrs["MATLAB_class"] = np.bytes_("double")
+    assert "records of other programs (MATLAB, pandas): save them as .npy" in refused(tmp_path / "matlab.h5")
 
 
 def written_tdms(path, properties):
