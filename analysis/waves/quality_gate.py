@@ -92,8 +92,7 @@ class RestrikeRule:
         restrikes_so_far
             Repetitions already made for this transducer in this set.
         """
-        as_missed = ("false_trigger", LOST_SAMPLES, DISTURBED)
-        found = {"missed" if flag in as_missed else flag for flag in shot_flags}
+        found = {"missed" if f in ("false_trigger", LOST_SAMPLES, DISTURBED) else f for f in shot_flags}
         poor = not found.isdisjoint(self.flags)
         return poor and attempt == 0 and restrikes_so_far < self.restrikes_per_set
 
