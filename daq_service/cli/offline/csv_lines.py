@@ -30,7 +30,7 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
         It cannot be read.
     """
     content = read_shared(path)
-    wide = content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0
+    wide = len(content) % 2 == 0 and content[:2] in (b"\xff\xfe", b"\xfe\xff", content[:1] + b"\0")
     try:
         text = content.decode("utf-16" if wide else "utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:

@@ -32,17 +32,16 @@ ROWS_BY_NAME = re.compile(
     r"|date|time|date[_ ]?time|time[_ ]?stamp|utc|epoch|due_h|hours?|minutes?|seconds?|days?"
 )
 """Names of columns that count, time or name rows, in small letters and without a unit."""
-FEWEST_RISING = 8
-"""Rows: of features none rises (or falls) from each to the next by chance, eight in one of 20,000."""
+FEWEST_STEPS = 11
+"""From row to row: those of a feature have one sign by chance once in a thousand columns."""
 NEARLY = re.compile(
-    r"[<>~≈=±$€£]?\s*[(+\-\u2212\u2013]?\s*[.,]?\d[\d.,'\u2019\s]*([eEdD]\s?[+-]?\d+)?\s*(±.*)?[)%‰°A-Za-zµμΩ/²³·\s]*"
+    r"[<>~≈=±$€£'\u2019]?\s*[(+\-\u2212\u2013]?\s*[.,]?\d[\d.,'\u2019\s]*([eEdD]\s?[+-]?\d+)?\s*(±.*)?[)%‰°A-Za-zµμΩ/²³·\s]*"
 )
 """A number with a unit, marks between thousands, or a sign that is none of Python's."""
 DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}")
 NO_NUMBERS = "most of its cells are no numbers"
 THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,]\d{3})+\s*")
 TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)\s*:?\s*", re.IGNORECASE)
-LEADING_ZERO = re.compile(r"\s*0\d+\s*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +100,8 @@ def read_table(
         for name, column in numbers.items():
             if column is None:
                 cell = _no_number(columns[name], decimal)
-                raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number")
+                at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
+                raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
     kept = {name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)}
     if not kept:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
@@ -132,11 +132,11 @@ def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
         return "by its name an index, a time or an identifier"
     if numbers is None:
         return NO_NUMBERS
-    if not isinstance(column, np.ndarray) and any(LEADING_ZERO.fullmatch(str(cell)) for cell in column):
+    if not isinstance(column, np.ndarray) and any(re.fullmatch(r"\s*0\d+\s*", str(c)) for c in column):
         return "identifiers: whole numbers that begin with 0"
     steps = np.diff(numbers[np.isfinite(numbers)])
-    if len(steps) >= FEWEST_RISING - 1 and ((steps > 0.0).all() or (steps < 0.0).all()):
-        return "it rises or falls in every row, as an index or a time does"
+    if np.count_nonzero(steps) >= FEWEST_STEPS and abs(np.sign(steps).sum()) == np.count_nonzero(steps):
+        return "it only rises or only falls, as an index or a time does"
     return ""
 
 

@@ -407,6 +407,7 @@ def first_two(vectors):
         (",", "50.2%"),
         (",", "\u22121.5"),
         (",", "<5"),
+        (",", "'338.2"),
         (",", "(3.2)"),
         (",", "338.2 \u00b1 0.3"),
         (",", '"1,234.5"'),
@@ -429,6 +430,9 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
     assert "write the number alone" in bad["refused"]
     (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
     assert found["refused"] is None
+    if not first:
+        words = refused(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
+        assert words.endswith("in row 0: write the number alone, or choose others")
 
 
 def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vectors):
@@ -459,8 +463,13 @@ LEFT_OUT = {
     "version": (["1.2.3"] * 120, "most of its cells are no numbers", "1.2.3"),
     "uptime": (
         [k * k for k in range(120)],
-        "it rises or falls in every row, as an index or a time does",
+        "it only rises or only falls, as an index or a time does",
         "0",
+    ),
+    "stamp": (
+        [1_700_000_000 - k // 2 for k in range(120)],
+        "it only rises or only falls, as an index or a time does",
+        "1700000000",
     ),
     "": ([3] * 120, "it has no name", "3"),
 }
@@ -515,6 +524,7 @@ def semicolons(text):
         (lambda text: text + "\n,\n,,\n", "utf-8"),  # emptied rows of a spreadsheet
         (lambda text: "sep=;\n" + semicolons(text), "utf-8-sig"),
         (lambda text: text.replace(",", "\t"), "utf-16"),
+        (lambda text: text, "utf-16-le"),
         (lambda text: text.replace("a,b", "a,b\ns,V", 1), "utf-8"),  # units
         (lambda text: text.replace("a,b", "a,b\n[s],", 1), "utf-8"),
     ],
