@@ -9,8 +9,8 @@ from analysis.waves.features import extract_from_volts
 N_SAMPLES, CLEAN_SNR_DB = 13_600, (20, 30, 40, 50, 60, 70, 80)
 
 
-def record(random, bits=16, snr_db=40.0):
-    """Sound record of a converter whose range ends at twice the incident wave, in volts."""
+def record(random, bits=16, snr_db=40.0, range_v=2.0):
+    """Sound record of a wave of 1 V, and of a converter whose range ends at twice that."""
     scene = Scene(
         isw_v=1.0,
         n_samples=N_SAMPLES,
@@ -20,7 +20,7 @@ def record(random, bits=16, snr_db=40.0):
         offset_v=random.uniform(-0.02, 0.02),
     )
     volts = scene.volts() + 10.0 ** (-snr_db / 20.0) * random.standard_normal(N_SAMPLES)
-    code_v = 2.0 / 2 ** (bits - 1)
+    code_v = range_v / 2 ** (bits - 1)
     return np.rint(volts / code_v) * code_v
 
 
@@ -84,6 +84,13 @@ def test_no_clean_record_is_flagged(bits, snr_db):
 @pytest.mark.parametrize("bits", [8, 12, 16])
 def test_none_of_300_clean_records_is_flagged(bits, snr_db):
     assert flagged_clean(bits, snr_db, 300) == []
+
+
+@pytest.mark.parametrize("snr_db", [40.0, 60.0])
+def test_a_sound_wave_of_few_codes_is_not_clipped(snr_db):
+    """Of a quarter of the range, at 8 bits: it stays on its last code for .22 of its width."""
+    random = np.random.default_rng(8)
+    assert [flags_of(record(random, 8, snr_db, range_v=4.0)) for _ in range(12)] == [()] * 12
 
 
 def test_spikes_are_no_noise_that_a_quiet_stretch_would_show():
