@@ -2,12 +2,11 @@
 
     python benchmarks/demo_speed.py [--hours H] [--rounds R] [--cold] [--json]
 
-The whole test is 350 h, 425 sets; a shorter one shows the same cost a set. Four runs alternate, so that a
+The whole test is 350 h, 425 sets; a shorter one shows the same cost a set. Three runs alternate, so that a
 busy machine disturbs them alike; each is a process of its own in a new folder:
 
 - the command ``solimon demo --exit --no-web``, from its start to its end;
 - the recorder alone;
-- the recorder alone without the journal (`storage.journal = false`);
 - the recorder alone on the obvious line: one thread, each record computed when it is read, chunks
   compressed by HDF5. Every shot and every row is the same.
 
@@ -50,8 +49,8 @@ from simulator.instruments import build_bench
 from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer
 
-COMMAND, RECORDER, NO_JOURNAL, OBVIOUS = "command", "recorder", "no journal", "obvious line"
-ONE_PROCESS = (RECORDER, NO_JOURNAL, OBVIOUS)
+COMMAND, RECORDER, OBVIOUS = "command", "recorder", "obvious line"
+ONE_PROCESS = (RECORDER, OBVIOUS)
 CACHES = {"NUMBA_CACHE_DIR": "machine-code", "XDG_CACHE_HOME": "reductions", "LOCALAPPDATA": "reductions"}
 """Where machine code and reduced plates are kept (`numerics.array_cache`), and a folder for a cold start."""
 
@@ -102,11 +101,8 @@ def compression_by_hdf5() -> Iterator[None]:
 def run_recorder(hours: float, kind: str) -> dict[str, Any]:
     """Record in this process; wall and processor time with the cost by stage."""
     settings = load_settings(None)
-    changed = {
-        "schedule": settings.schedule.model_copy(update={"end_h": hours}),
-        "storage": settings.storage.model_copy(update={"journal": kind != NO_JOURNAL}),
-    }
-    settings = settings.model_copy(update=changed)
+    schedule = settings.schedule.model_copy(update={"end_h": hours})
+    settings = settings.model_copy(update={"schedule": schedule})
     with tempfile.TemporaryDirectory() as folder:
         prepare_data_folder(Path(folder))
         wall, processor = time.perf_counter(), sum(os.times()[:4])
@@ -155,7 +151,7 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
 
 
 def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, float]]:
-    """Alternate the four runs; the mean of each number over the rounds."""
+    """Alternate the three runs; the mean of each number over the rounds."""
     runs: dict[str, list[dict[str, Any]]] = {kind: [] for kind in (COMMAND, *ONE_PROCESS)}
     for _ in range(rounds):
         runs[COMMAND].append(run_command(hours, cold=cold))
@@ -180,11 +176,7 @@ def show(found: dict[str, dict[str, float]]) -> None:
             f"{kind}: {1e3 * run['wall_s'] / run['sets']:.1f} ms a set, of it fsync of file and folder "
             f"{1e3 * fsync_s / run['sets']:.2f} ms ({fsync_s / run['wall_s']:.1%})"
         )
-    ours, bare, obvious = found[RECORDER], found[NO_JOURNAL], found[OBVIOUS]
-    print(
-        f"with over without the journal: wall {ours['wall_s'] / bare['wall_s']:.3f}, processor "
-        f"{ours['processor_s'] / bare['processor_s']:.3f}"
-    )
+    ours, obvious = found[RECORDER], found[OBVIOUS]
     print(
         f"obvious line over recorder: wall {obvious['wall_s'] / ours['wall_s']:.2f}, processor "
         f"{obvious['processor_s'] / ours['processor_s']:.2f}, bytes stored "

@@ -165,6 +165,13 @@ def lost_and_held(scene: Scene) -> FloatArray:
     return volts
 
 
+def broken_off(scene: Scene) -> FloatArray:
+    """Fill the record with zeros from somewhere on, at the latest in its last fifth."""
+    volts = scene.clean()
+    volts[scene.random.integers(PRETRIGGER + 500, SAMPLES * 4 // 5) :] = 0.0
+    return volts
+
+
 def lost_and_bridged(scene: Scene) -> FloatArray:
     """Draw a line between the neighbours."""
     volts, lost = scene.clean(), _lost(scene)
@@ -193,6 +200,7 @@ CASES: tuple[Callable[[Scene], FloatArray], ...] = (
     foreign_anywhere,
     lost_and_zero,
     lost_and_held,
+    broken_off,
     lost_and_bridged,
     lost_and_closed_up,
 )

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetReference
+from daq_service.archive.compaction import compact_set
 from daq_service.archive.waterfall.keeping import keep_file, tiles_of
 from daq_service.archive.waterfall.picture import Picture, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tiles import Tiles, n_bytes
@@ -128,6 +129,8 @@ def main() -> None:
                 index, n_shots=given.shots, n_samples=given.samples, planted=index == given.sets // 2
             )
             files[index] = archive.store_set(record).file
+            compact_set(folder, index)
+            archive.settle(index)
             start = time.perf_counter()
             keep_file(folder, EXPERIMENT, files[index], {})
             kept_s += time.perf_counter() - start

@@ -37,6 +37,7 @@ from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
+from daq_service.archive.compaction import compact_set
 from daq_service.archive.records import set_reference
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
@@ -124,8 +125,10 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
         path = folder / set_reference(due.set_index, due.due_utc_ns)
         path.write_bytes(b"a file without content is one that was lost")
     with closing(FolderArchive(folder)) as archive:
-        archive.store_set(first)
-        archive.store_set(last)
+        for record in (first, last):
+            archive.store_set(record)
+            compact_set(folder, record.set_index)
+            archive.settle(record.set_index)
     Heartbeat(folder, deadline_s=1e9).beat("waiting")
     (folder / "live").mkdir(exist_ok=True)
     LivePicture(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
@@ -452,7 +455,7 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
         note("digests")
         assert not lost_sets(folder, catalogue)
         note("files")
-        with closing(FolderArchive(folder, journal=True)) as archive:
+        with closing(FolderArchive(folder)) as archive:
             note("archive")
             resumed_ns = session._resume_utc_ns(catalogue, archive, 0)
             note("resume")

@@ -6,7 +6,8 @@
     ├── UsageError      exit 2   a command line or configuration that cannot work
     ├── RigError        exit 3   an instrument failed beyond what the recorder can mend
     ├── StorageError    exit 4   the data folder cannot be written, read or trusted
-    └── BusyError       exit 5   another recorder, process or port owner is in the way
+    ├── BusyError       exit 5   another recorder, process or port owner is in the way
+    └── EndedByLibraryError  exit 1   a driver or library tried to end the process
 
 ``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself; ``6``
 a test whose certificate does not pass, or a receiver of notifications that was not reached: nothing failed
@@ -62,3 +63,10 @@ class BusyError(SolimonError):
     """Somebody else owns what is needed."""
 
     exit_code = 5
+
+
+class EndedByLibraryError(SolimonError):
+    """A driver or library raised what would end the process (SystemExit), which is a fault."""
+
+    def __init__(self, ending: BaseException) -> None:
+        super().__init__(f"a driver or library ended the work by {ending!r}; report it to its author")

@@ -13,6 +13,7 @@ HDF5 itself: a full disk would end the process.
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import sys
@@ -27,8 +28,13 @@ T = TypeVar("T")
 
 PATIENCE_S = 5.0
 """A virus scanner holds a new file for some tenths of a second."""
+REPORT_AFTER_S = 1.0
+"""A refusal that lasts longer is logged, also where it ends in time."""
 LONGEST_PAUSE_S = 0.05
 HINT_SUFFIX = ".tmp"
+
+LARGEST_BYTES = 4 * 1024**3
+"""Of a file that is read as a whole: a stranger's may have holes and any size."""
 
 BUFFERS_A_CALL = 512
 """Half of what the systems take."""
@@ -40,17 +46,22 @@ def patiently(
     *,
     is_refusal: Callable[[Exception], bool] = lambda error: isinstance(error, PermissionError),
     patience_s: float = PATIENCE_S,
+    report_after_s: float = REPORT_AFTER_S,
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
     """Call again while the answer is a refusal, with growing pauses; the last one is raised."""
-    deadline = time.monotonic() + patience_s
-    pause_s = 0.001
+    begun_s = time.monotonic()
+    pause_s, reported = 0.001, False
     while True:
         try:
             return call()
         except Exception as error:
-            if not is_refusal(error) or time.monotonic() >= deadline:
+            waited_s = time.monotonic() - begun_s
+            if not is_refusal(error) or waited_s >= patience_s:
                 raise
+            if not reported and waited_s >= report_after_s:
+                log.warning("refused, tried again for %g s at most: %s", patience_s, error)
+                reported = True
         pause(pause_s)
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
@@ -61,11 +72,13 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
     Raises
     ------
     OSError
-        It cannot be read, also after a while.
+        It cannot be read, also after a while, or is too large to be held in memory.
     """
 
     def read() -> bytes:
         with path.open("rb") as file:
+            if last is None and file.seek(0, os.SEEK_END) - first > LARGEST_BYTES:
+                raise OSError(errno.EFBIG, f"{os.strerror(errno.EFBIG)}: more than {LARGEST_BYTES} bytes")
             file.seek(first)
             return file.read(-1 if last is None else last - first)
 

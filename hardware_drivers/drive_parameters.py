@@ -10,8 +10,10 @@ from annotated_types import Ge, Gt, Le
 from hardware_drivers.bounds import bounded
 from hardware_drivers.errors import ConfigurationError
 
-LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s", "suspect_after_s"})
-"""Not what is measured: how often, how long an answer is waited for, and how it is rated."""
+LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s"})
+"""Not what is measured: how often, and how long an answer is waited for."""
+CLIMATE_KEYS = LOG_KEYS | {"suspect_after_s"}
+"""Nor how the climate is rated."""
 WATCH_KEYS = LOG_KEYS | {
     "minimum_current_a",
     "deviation_after_s",

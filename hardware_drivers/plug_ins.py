@@ -63,7 +63,7 @@ class Offer:
         offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
         try:
             kind = entry_point.load()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ConfigurationError(
                 f"{offered}, which cannot be imported ({type(error).__name__}: {error}); install that "
                 "package again, or report it to its maintainer"

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from analysis.waves.pulses import NOISE_CRESTS, Pulse
+from analysis.waves.quality_gate import DISTURBED, LOST_SAMPLES
 from analysis.waves.record_reduction import FloatArray, ReducedRecord, median, moving_mean
 
 FLAT_TOP_REACH = 0.3
@@ -23,6 +24,8 @@ LEAST_SOUND_FALL, TOP_NOISE = 0.19, 3.0
 """Where noise moves it more, that many standard deviations below what a sound wave falls."""
 LONGEST_TOP, FEWEST_AT_TOP = 0.15, 16
 """Of the width, and samples, at exactly the highest value: a wave of 100 codes stays on its last for .12."""
+LAST_CODE = 1.6
+"""The same of a wave of n codes, times the root of n: cos^4 has 1.24, and noise of a code is two more."""
 DEEPEST_PULL = 0.05
 """The preload is 1 % of the wave; slow vibration of the twin's chain adds 3 %, at half the gain 5 %."""
 LOOKED_AFTER_PSW_S = 520e-6
@@ -48,6 +51,15 @@ FEWEST_ALIKE, SHORTEST_ALIKE_S = 32, 15e-6
 FEWEST_CODES = 1.5
 """By which half of the samples leave the line through their neighbours, as noise of a code makes them; less
 noise leaves quiet stretches on one code."""
+NOISE_BEND_CODES, FINEST_CODE = 2.5, 3e-5
+"""Noise less than a code wide bends by two codes at most, wherever between codes the level is; only wider
+noise moves every level. A code is at least that fraction of the range: rounding of volts, and of a simulated
+record without noise, is no noise; noise 80 dB below the wave is three of these codes."""
+NOISE_PARTS, FEWEST_BENDS = 8, 20.0
+"""Parts of the other samples whose median rate of such bends counts, so that spikes do not; and how many a
+stretch without any lacks: by chance exp(-20/3), for a sample takes part in three, and then equal ones."""
+PLATEAU = 0.4
+"""Of the farthest sample from the quiet level: below that, a stretch at an extreme value is no clipping."""
 CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
 """Between samples looked at first, and by how much those on a line, each rounded, leave it."""
 
@@ -79,11 +91,15 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     top = record.samples_v[max(0, centre - half) : centre + half]
     if not top.size:
         return False
-    at_top = top == top.max()
+    highest_v = float(top.max())
+    at_top = top == highest_v
     if np.count_nonzero(at_top) < FEWEST_AT_TOP:
         return False
     highest = np.flatnonzero(at_top)
-    return bool(highest[-1] - highest[0] > LONGEST_TOP * fwhm_s * rate_hz)
+    code_v = highest_v - float(top[~at_top].max(initial=float(top.min())))
+    code_v += 2.0 * min(record.noise_rms_v, code_v)
+    by_code = LAST_CODE * math.sqrt(code_v / (highest_v - record.offset_v))
+    return bool(highest[-1] - highest[0] > max(LONGEST_TOP, by_code) * fwhm_s * rate_hz)
 
 
 def deepest_pull(
@@ -186,8 +202,8 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
-def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:
-    """Find a straight line, level or not, that noise would have bent: its first and last sample, or None.
+def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
+    """Find stretches that noise would have moved: the flags of lost samples, of a plateau, of a line.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
     """
@@ -202,16 +218,36 @@ def straight_stretch(record: ReducedRecord, rate_hz: float) -> tuple[int, int] |
     table -= coarse[:-1] + rise * (np.array(between) / stride)[:, None]
     near = np.logical_and.reduce(np.abs(table, out=table) <= STRAIGHT_CODES * code_v)
     if not (near[1:] & near[:-1]).any():
-        return None
+        return set()
     steps = np.diff(samples)
+    shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
+    found = _held(record, steps, shortest)
     code_v = _smallest_step(steps)
     bends = np.abs(np.diff(steps))
-    if median(bends) < FEWEST_CODES * code_v:
-        return None
-    bent = np.flatnonzero(np.concatenate([[True], bends > 1.01 * code_v, [True]]))
-    longest = int(np.diff(bent).argmax())
-    first, last = int(bent[longest]), int(bent[longest + 1])
-    return (first, last) if last + 1 - first >= max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz) else None
+    if found or median(bends) < FEWEST_CODES * code_v:
+        return found
+    longest = int(np.diff(np.flatnonzero(np.concatenate([[True], bends > 1.01 * code_v, [True]]))).max())
+    return {DISTURBED} if longest + 1 >= shortest else set()
+
+
+def _held(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
+    """Find stretches of equal samples in which the noise of all others would have been seen."""
+    samples = record.samples_v
+    lowest, highest = float(samples.min()), float(samples.max())
+    edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))
+    lengths, values = np.diff(edges), samples[edges[:-1]]
+    held = np.repeat(lengths >= shortest, lengths)
+    bends = np.diff(steps)
+    least_v = NOISE_BEND_CODES * max(_smallest_step(steps), FINEST_CODE * (highest - lowest))
+    noisy = (np.abs(bends[:-1]) > least_v) & (bends[:-1] * bends[1:] < 0.0)
+    parts = np.array_split(noisy[~(held[:-3] | held[3:])], NOISE_PARTS)
+    usual = median(np.array([part.mean() if part.size else 0.0 for part in parts]))
+    lost = (lengths >= shortest) & (lengths * usual > FEWEST_BENDS)
+    height_v = PLATEAU * max(highest - record.offset_v, record.offset_v - lowest)
+    plateau = ((values == lowest) | (values == highest)) & (np.abs(values - record.offset_v) > height_v)
+    plateau[[0, -1]] = False  # a wave comes and goes
+    flags = {LOST_SAMPLES: lost & ~plateau, "clipped": lost & plateau}
+    return {flag for flag, which in flags.items() if which.any()}
 
 
 def _smallest_step(steps: FloatArray) -> float:

@@ -36,7 +36,7 @@ from analysis.waves.disturbance import (
     has_edge,
     is_cut,
     is_flat_topped,
-    straight_stretch,
+    unmoved,
 )
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, outline
@@ -57,7 +57,7 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.7"
+EXTRACTOR_VERSION = "1.8"
 """Changes whenever any feature of any record or set would, and so with the flags."""
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7
@@ -293,9 +293,9 @@ def _extracted(
         _flags(record, found, settings, one)
         for record, found, one in zip(records, pulses, given, strict=True)
     ]
-    # What something else started looks like a wave at times: nothing is measured of it.
+    # What something else started looks like a wave at times, and so does what is left of a record.
     measured: list[dict[str, Any]] = [
-        {} if "false_trigger" in flags else _measured(record, found, settings)
+        _measured(record, found, settings) if {"false_trigger", "lost_samples"}.isdisjoint(flags) else {}
         for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
     return [
@@ -327,6 +327,9 @@ def _flags(
 def _flags_of_pulses(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float
 ) -> tuple[set[str], float]:
+    still = unmoved(record, rate_hz)
+    if "lost_samples" in still:
+        return still, math.nan
     spiked, stirred = _at_trigger(record)
     if spiked:
         return {"false_trigger"}, math.nan
@@ -340,7 +343,11 @@ def _flags_of_pulses(
         # What this noise cannot do it may where it is stronger in the wave's own band.
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
         found, pull = _moved(record, pulses, isw, settings, noise_v)
-    found |= _disturbances(record, pulses, isw, rate_hz)
+    found |= still
+    if pulses.stray:
+        found.add(DISTURBED)
+    if is_cut(record, isw.matched_time_s, isw.fwhm_s, rate_hz):
+        found.add("clipped")
     if pulses.psw is None:
         # What is no strike alone can be no sign of a hole.
         found.add("missed" if DISTURBED in found else "no_psw")
@@ -365,19 +372,6 @@ def _moved(
         "baseline": drifts(record, isw, pulses.psw, settings.baseline_drift_fraction, noise_v),
     }
     return {flag for flag, is_seen in seen.items() if is_seen}, pull
-
-
-def _disturbances(record: ReducedRecord, pulses: Pulses, isw: Pulse, rate_hz: float) -> set[str]:
-    """Look for what no strike leaves and no noise makes."""
-    found = {DISTURBED} if pulses.stray else set()
-    if is_cut(record, isw.matched_time_s, isw.fwhm_s, rate_hz):
-        found.add("clipped")
-    straight = straight_stretch(record, rate_hz)
-    if straight is not None:
-        line = record.samples_v[straight[0] + 1 : straight[1]]
-        level = bool(line[0] == line[-1]) and line[0] - record.offset_v > 0.4 * isw.amplitude_v
-        found.add("clipped" if level else DISTURBED)
-    return found
 
 
 def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:

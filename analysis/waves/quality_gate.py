@@ -14,9 +14,11 @@ from typing import Final, Literal, get_args
 from analysis.errors import InvalidInputError
 
 DISTURBED: Final = "disturbed"
+LOST_SAMPLES: Final = "lost_samples"
 FLAGS = (
     "missed",
     "false_trigger",
+    LOST_SAMPLES,
     "double",
     "clipped",
     DISTURBED,
@@ -29,11 +31,12 @@ FLAGS = (
 """What may be wrong with a shot.
 
 ``missed``: no record, or no wave of this transducer in it; ``false_trigger``: something else than the wave
-started the record; ``clipped``: a flat top, at the end of the ADC's range or below; ``disturbed``: beside the
-wave is something that no strike leaves (a knock, a foreign pulse, a jump), or samples are lost.
+started the record; ``lost_samples``: a stretch of it is one value, where noise would have moved it;
+``clipped``: a flat top, at the end of the ADC's range or below; ``disturbed``: next to the wave is something
+that no strike leaves (a knock, a foreign pulse, a jump, a line drawn through lost samples).
 """
 INVALIDATING_FLAGS = frozenset(
-    {"missed", "false_trigger", "double", "clipped", DISTURBED, "inverted", "no_psw"}
+    {"missed", "false_trigger", LOST_SAMPLES, "double", "clipped", DISTURBED, "inverted", "no_psw"}
 )
 """A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
 
@@ -60,7 +63,7 @@ class RestrikeRule:
     ----------
     flags
         Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` stands for
-        ``false_trigger`` and ``disturbed`` too: none of them gave a wave to measure.
+        ``false_trigger``, ``lost_samples`` and ``disturbed`` too: none of them gave a wave to measure.
     restrikes_per_set
         For each transducer.
     """
@@ -89,7 +92,7 @@ class RestrikeRule:
         restrikes_so_far
             Repetitions already made for this transducer in this set.
         """
-        found = {"missed" if flag in ("false_trigger", DISTURBED) else flag for flag in shot_flags}
+        found = {"missed" if f in ("false_trigger", LOST_SAMPLES, DISTURBED) else f for f in shot_flags}
         poor = not found.isdisjoint(self.flags)
         return poor and attempt == 0 and restrikes_so_far < self.restrikes_per_set
 

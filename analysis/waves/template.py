@@ -32,6 +32,9 @@ velocity^(6/5)). One that is lower than the second, and wider than that by the f
 tanh to .8 of the height makes it 1.07 times that wide; a disk that leans by .05 rad has .98, at .54."""
 LIKE_ITS_OWN = 0.12
 """A wave without a reflection may tell of a hole only where its width is the usual one within this part."""
+WEAKEST_REFLECTION = 0.25
+"""Of the pristine wall's amplitude ratio: the smallest that any plate model sends back is .4 of it; through a
+hole what follows the incident wave stays below a fifth of that wave."""
 STRONGEST_REFLECTION = 1.4
 """Of the usual amplitude ratio: with depth it goes from .75 to 1.15 of the pristine wall's, a second strike
 of a quarter on top of the reflected wave makes 1.5."""
@@ -118,9 +121,34 @@ def _quantile(ordered: FloatArray, part: float) -> FloatArray:
     return np.asarray(low + (place % 1.0) * (high - low))
 
 
+def without_residue(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
+    """Flag shots ``no_psw`` whose reflection is too weak for any wall; the incident wave's values stay.
+
+    Parameters
+    ----------
+    usual_ratio
+        Amplitude ratio of the transducer's baseline; None: not known.
+    """
+    limit = WEAKEST_REFLECTION * (usual_ratio or 0.0)
+    return [_silent(shot) if shot.amplitude_ratio < limit and not shot.compared else shot for shot in shots]
+
+
+def _silent(shot: ShotFeatures) -> ShotFeatures:
+    # What is no strike alone can be no sign of a hole.
+    flag = "missed" if DISTURBED in shot.flags else "no_psw"
+    return graded(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
+
+
+def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
+    unknown = [name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))]
+    nothing: dict[str, Any] = dict.fromkeys(unknown, math.nan)
+    return replace(shot, **nothing)
+
+
 def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
     """Compare shots of one transducer with its own waves, then with one another (`outline`, `distortion`)."""
-    found = [compared(shot, template) for shot in shots]
+    usual = None if template is None else template.amplitude_ratio
+    found = [compared(shot, template) for shot in without_residue(shots, usual)]
     seen = {
         index: shot.outline
         for index, shot in enumerate(found)
@@ -147,10 +175,7 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     if "no_psw" in shot.flags:
         other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrived_otherwise(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
-        unknown: dict[str, Any] = dict.fromkeys(
-            (name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))), math.nan
-        )
-        return graded(replace(shot, **unknown), {*shot.flags, "missed"} - {"no_psw"})
+        return graded(_of_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
     found = set(shot.flags)
     height = shot.isw_amplitude_v / template.isw_amplitude_v
     if height < LOWERED and width * height**WIDTH_POWER > WIDENED:

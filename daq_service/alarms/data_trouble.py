@@ -21,13 +21,13 @@ def damage_condition(
     set_aside
         What lies there, by the archive's names.
     damaged
-        Files of sets that have rows, and what is wrong with each.
+        Files of sets that have rows, and copies of segments of the journal, and what is wrong with each.
     """
     told = [f"{file} {_sentence(what)}" for file, what in list(damaged.items())[:SHOWN]]
     told += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
     told += ["solimon verify names all of it, solimon repair what helps"] if damaged else []
     if set_aside:
-        told.append(f"damaged and without rows, set aside: {', '.join(set_aside)}; remove what nobody needs")
+        told.append(f"set aside because of damage: {', '.join(set_aside)}; remove what nobody needs")
     return Condition(
         position=None,
         kind="data_damaged",

@@ -165,6 +165,20 @@ GUIDANCE: Mapping[str, Guidance] = {
         short="Set the computer's clock, or `solimon trust-clock` if it is right.",
         call="who looks after the computer",
     ),
+    "recorder_not_running": Guidance(
+        says="no recorder stores sets: it fails again and again, or does not run",
+        does_not_say="that stored data are damaged, or that the supply is off",
+        look_first=("end of `logs/recorder.log`", "`solimon doctor`", "start it with `solimon run`"),
+        short="Read `logs/recorder.log`, then start it with `solimon run` or its service.",
+        call="the person responsible for the rig",
+    ),
+    "web_not_responding": Guidance(
+        says="the web service stalls, or ended without notice; the recorder goes on",
+        does_not_say="that sets are missed",
+        look_first=("end of `logs/web.log`", "memory of the computer", "restart `solimon serve`"),
+        short="Read `logs/web.log`, then restart `solimon serve` or its service.",
+        call="the person responsible for the computer",
+    ),
     "supply_lost": Guidance(
         says="no reading of the drive; its output is **unknown**",
         does_not_say="that it is off",

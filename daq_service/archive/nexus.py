@@ -29,6 +29,7 @@ from h5py import h5a, h5d, h5ds, h5f, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
+from daq_service.archive.plain import require_plain
 
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays lie in their object header: faster than a chunk, and shorter than its index."""
@@ -40,6 +41,8 @@ _AS_STORED = ("<", "|")
 _HEAP = b"GCOL\1\0\0\0"
 _HEAP_OBJECT = struct.Struct("<H6xQ")
 """Index and length of what follows."""
+_LONGEST_TEXT_BYTES = 4096
+"""Names and units are far shorter; any number of attributes may lead to the same text."""
 
 Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
@@ -72,17 +75,35 @@ def image_of(file: h5f.FileID) -> bytes:
     return bytes(file.get_file_image())
 
 
-def opened_image(image: bytes) -> h5f.FileID:
-    """Open the bytes of a file for reading, in memory; whoever takes it closes it."""
+def opened_image(image: bytes, *, is_own: bool = False) -> h5f.FileID:
+    """Open the bytes of a file for reading, in memory; the caller closes it.
+
+    Parameters
+    ----------
+    is_own
+        This process made them.
+
+    Raises
+    ------
+    OSError
+        It is damaged, or no plain file (`daq_service.archive.plain`).
+    """
     require_finite_heaps(image)
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     access.set_file_image(image)
-    return h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDONLY, fapl=access)
+    file = h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDONLY, fapl=access)
+    try:
+        if not is_own:
+            require_plain(file, len(image))
+    except BaseException:
+        file.close()
+        raise
+    return file
 
 
 def require_finite_heaps(image: bytes) -> None:
-    """Refuse a file in whose heaps of strings HDF5 would go round for ever, holding its lock.
+    """Refuse a file in whose heaps of strings HDF5 would go round for ever, or find texts without end.
 
     HDF5 goes from object to object of a global heap by the length that each tells (format specification,
     III.E) and does not look whether that leads anywhere: in a page of zeros it stays for ever.
@@ -90,7 +111,8 @@ def require_finite_heaps(image: bytes) -> None:
     Raises
     ------
     OSError
-        An object leads nowhere, or out of its heap; as from HDF5 where it finds damage by itself.
+        An object leads nowhere, out of its heap, or is longer than any name; as from HDF5 where it finds
+        damage by itself.
     """
     at = image.find(_HEAP)
     while at >= 0:
@@ -99,7 +121,7 @@ def require_finite_heaps(image: bytes) -> None:
             index, length = _HEAP_OBJECT.unpack_from(image, place)
             # Object 0 is what is free, counted with its header; the others are filled up to eight bytes.
             step = _HEAP_OBJECT.size + (length + 7) // 8 * 8 if index else length
-            if not 0 < step <= end - place:
+            if not 0 < step <= end - place or (index and length > _LONGEST_TEXT_BYTES):
                 raise OSError(f"the object at byte {place} of a heap of strings has the length {length}")
             place += step
         at = image.find(_HEAP, at + 1)

@@ -1,4 +1,4 @@
-"""What an archive is: a folder today; a journal or an object store keep the same promises.
+"""What an archive is: a folder today; an object store keeps the same promises.
 
 `tests/contract/archive_contract.py` is what each of them must pass.
 """
@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from daq_service.archive.records import (
     Damage,
+    JournalDamage,
     MissedRecord,
     OpenSet,
     Places,
@@ -91,15 +92,15 @@ class Archive(SetReader, Protocol):
     """Stores sets too; the recorder's, who alone writes.
 
     A set may be taken in record by record (`begin_set`, `append`, `sync`, then `store_set`) or be stored at
-    once; an archive that keeps no journal acknowledges whole sets only.
+    once. What `sync` acknowledged of a set that is never stored is there after a restart.
 
     Attributes
     ----------
-    keeps_open_sets
-        What `sync` acknowledged of a set that is never stored is there after a restart.
+    journal_damage
+        What was found damaged when it was opened.
     """
 
-    keeps_open_sets: bool
+    journal_damage: JournalDamage
 
     def begin_set(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,7 +30,8 @@ from daq_service.archive.errors import (
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.layout import RESULTS
-from daq_service.archive.nexus import opened_image, read_field, require_finite_heaps
+from daq_service.archive.nexus import opened_image, read_field
+from daq_service.archive.plain import RefusedError
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
@@ -41,7 +43,7 @@ from daq_service.archive.records import (
     referenced_sets,
     waveform_crc32,
 )
-from daq_service.shared_file import patiently, read_shared
+from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
@@ -122,7 +124,7 @@ class FolderSetReader:
     def digest(self, reference: SetReference) -> str | None:
         """Compute the SHA-256 of a set's file; None where it has none yet."""
         try:
-            return hashlib.sha256(read_shared(self.folder / reference)).hexdigest()
+            return hashlib.sha256(read_stored(self.folder / reference)).hexdigest()
         except FileNotFoundError:
             return None
         except OSError as error:
@@ -160,15 +162,20 @@ def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
         return _record_of(entry, records)
 
 
-def read_records(path: Path, content: bytes) -> list[Shot | PulseEchoRecord]:
+def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Shot | PulseEchoRecord]:
     """Read the records of a set's file in memory, but neither truth nor settings.
+
+    Parameters
+    ----------
+    is_own
+        This process made the content: nobody can have put links into it.
 
     Raises
     ------
     CorruptArchiveError
         A record is damaged, or the set as a whole.
     """
-    with opened_set(path, content) as entry:
+    with opened_set(path, content, is_own=is_own) as entry:
         records, damages = _read_records(entry, facts=False)
         if damages:
             raise _damaged(path, damages)
@@ -490,18 +497,27 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
         _read_everything(item, f"{path}/", left_out, unreadable)
 
 
+def read_stored(path: Path) -> bytes:
+    """Read a file of a data folder, which may have come from elsewhere.
+
+    Raises
+    ------
+    RefusedError
+        It is a link, a pipe or a device.
+    OSError
+        It cannot be read.
+    """
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise RefusedError("it is a link, a pipe or a device; put the file itself there")
+    return read_shared(path)
+
+
 @contextmanager
-def opened_set(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
-    """Entry of a set's file, or of its content in memory; errors below are translated."""
+def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
+    """Open the entry of a set's file, or of its content in memory; errors below are translated."""
     try:
-        if content is None:
-            require_finite_heaps(read_shared(path))
-        # No lock: a complete file never changes.
-        with (
-            patiently(lambda: h5py.File(path, "r", locking=False))
-            if content is None
-            else h5py.File(opened_image(content))
-        ) as file:
+        image = read_stored(path) if content is None else content
+        with h5py.File(opened_image(image, is_own=is_own)) as file:
             version = _text(file.attrs.get("solimon_format_version", ""))
             if not version.startswith(_READABLE_FORMAT):
                 raise CorruptArchiveError(
@@ -515,6 +531,8 @@ def opened_set(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]
         raise ArchiveReadError(
             f"{path} cannot be read: {error}; give this user the right to read it"
         ) from error
+    except RefusedError as error:
+        raise CorruptArchiveError(f"{path} is refused: {error}") from error
     except HDF5_ERRORS as error:
         if isinstance(error, OSError) and error.errno in _NOT_NOW:
             raise ArchiveReadError(f"{path} cannot be read now: {error}; end other programs") from error

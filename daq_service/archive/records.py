@@ -148,6 +148,8 @@ class OpenSet:
         Positions that were left out from its beginning, and why.
     last_utc_ns
         Experiment time of the last thing that is known of it.
+    is_dated
+        False: the frame with due time and ``retired`` is damaged; the time of the first shot stands in.
     """
 
     set_index: int
@@ -157,6 +159,29 @@ class OpenSet:
     retired: Mapping[str, str] = field(default_factory=dict)
     records: Sequence[Shot | PulseEchoRecord] = ()
     missed: Sequence[MissedRecord] = ()
+    is_dated: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JournalDamage:
+    """What a start found damaged in the journal.
+
+    Attributes
+    ----------
+    files
+        Each damaged segment's copy in the quarantine, and what is damaged.
+    sets
+        Sets without a file that may lack a record.
+    next_sequence
+        Higher than every shot id that the journal has, or that a lost frame can have had.
+    n_lost
+        How many frames may be lost whose ids are not known.
+    """
+
+    files: Mapping[str, str] = field(default_factory=dict)
+    sets: frozenset[int] = frozenset()
+    next_sequence: int = 0
+    n_lost: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,9 +189,7 @@ class StoreTimings:
     """Where the time of storing went."""
 
     image_s: float
-    write_s: float
     fsync_s: float
-    directory_fsync_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,15 +202,12 @@ class StoredSet:
         Relative to the data folder, with forward slashes.
     crc32
         Sequence of each record to the CRC-32 of its counts: the catalogue's ``shots.crc32``.
-    sha256
-        Of the file; None where it is made later.
     """
 
     file: SetReference
     n_bytes: int
     crc32: Mapping[int, int]
     timings: StoreTimings
-    sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

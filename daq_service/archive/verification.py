@@ -1,14 +1,11 @@
-"""Look at every byte of the archive that carries meaning: files of sets, frames of the journal.
-
-Nothing is written, and nothing that a recorder does meanwhile counts as damage.
-"""
+"""Look at every byte of a set's file that carries meaning; nothing is written."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +13,13 @@ import h5py
 import numpy as np
 
 from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
-from daq_service.archive.journal.frames import HEADER, Frame, frames
-from daq_service.archive.journal.reader import JournaledSet, contents, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import opened_image
-from daq_service.archive.reader import HDF5_ERRORS, examine, unreadable_parts
-from daq_service.archive.records import Damage, SetRecord, referenced_sets
-from daq_service.shared_file import read_shared
+from daq_service.archive.reader import HDF5_ERRORS, examine, read_stored, unreadable_parts
+from daq_service.archive.records import Damage, SetRecord
 
 log = logging.getLogger(__name__)
 
-_PAGE_BYTES = 4096
 _PREVIEW_TOLERANCE = 1e-6
 """Of the largest value: a mean in another order of summation, as 32-bit floats."""
 
@@ -69,12 +62,12 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
         There is no such file.
     """
     try:
-        content = read_shared(path)
+        content = read_stored(path)
     except FileNotFoundError as error:
         raise SetNotFoundError(f"there is no file {path}") from error
     except OSError as error:
         return CheckedFile(
-            n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror})")]
+            n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror or error})")]
         )
     found = hashlib.sha256(content).hexdigest()
     touched = sha256 is not None and found != sha256
@@ -117,7 +110,10 @@ def _contradictions(content: bytes, made: bytes | None) -> list[str]:
     if made is None:
         return ["what can be read of it makes no set"]
     try:
-        with h5py.File(opened_image(content)) as found, h5py.File(opened_image(made)) as expected:
+        with (
+            h5py.File(opened_image(content)) as found,
+            h5py.File(opened_image(made, is_own=True)) as expected,
+        ):
             values, wanted = _values(found), _values(expected)
             same_format = found.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
     except HDF5_ERRORS as error:
@@ -168,99 +164,3 @@ def _alike(name: str, found: Mapping[str, Any], expected: Mapping[str, Any], *, 
         scale = float(np.max(np.abs(right), initial=0.0))
         return bool(np.all(np.abs(left - right) <= _PREVIEW_TOLERANCE * scale))
     return (left.dtype, left.shape, left.tobytes()) == (right.dtype, right.shape, right.tobytes())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CheckedJournal:
-    """The journal as it was found.
-
-    Attributes
-    ----------
-    sets
-        What it holds, by set index.
-    damages
-        Segment, relative to the data folder, and what of it is damaged.
-    """
-
-    sets: Mapping[int, JournaledSet]
-    damages: list[tuple[str, Damage]]
-    n_frames: int = 0
-    n_bytes: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class _Scan:
-    """Frames that were found in all segments, and bytes between them that are none."""
-
-    sets: dict[int, JournaledSet] = field(default_factory=dict)
-    unsound: list[tuple[str, Frame]] = field(default_factory=list)
-    odd: list[tuple[str, Damage]] = field(default_factory=list)
-    n_frames: int = 0
-    n_bytes: int = 0
-
-    def take(self, number: int, name: str, content: bytes) -> None:
-        """Add a segment: frames, each directly behind the one before, then zeros to its end."""
-        place, length = 0, len(content.rstrip(b"\0"))
-        for frame in frames(content):
-            if frame.start > place:
-                self._tell(name, place, frame.start)
-            if not frame.sound and not _is_torn(frame, length, len(content)):
-                self.unsound.append((name, frame))
-            self.sets.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
-            self.n_frames += 1
-            place = frame.end
-        # A header alone that is cut was never acknowledged; behind a whole one there are facts.
-        if length - place >= HEADER.size:
-            self._tell(name, place, length)
-        self.n_bytes += max(place, length)
-
-    def _tell(self, name: str, start: int, end: int) -> None:
-        self.odd.append(
-            (name, Damage(reason=f"bytes {start} to {end} are no frame, or one whose header is damaged"))
-        )
-
-
-def _is_torn(frame: Frame, length: int, size: int) -> bool:
-    """Whether a frame was cut while it was written: the system writes page after page, the rest is zeros."""
-    return frame.end > size or -(-length // _PAGE_BYTES) * _PAGE_BYTES < frame.end
-
-
-def check_journal(folder: Path) -> CheckedJournal:
-    """Read every frame of a data folder's journal.
-
-    What a crash cut before anybody was told of it is no damage; where whole pages were lost in its midst,
-    as a power cut can do, nobody can tell it from damage.
-
-    Raises
-    ------
-    OSError
-        A segment cannot be read.
-    """
-    scan = _Scan()
-    for number, content in contents(folder):
-        scan.take(number, _name(folder, number), content)
-    filed = referenced_sets(path.name for path in (folder / "sets").glob("set_*.h5"))
-    damages = list(scan.odd)
-    told: set[int] = set()
-    for index, item in scan.sets.items():
-        if item.end is not None and index not in filed:
-            # Where several segments share a set, nobody knows in which of them a frame is gone.
-            own = [(name, frame) for name, frame in scan.unsound if frame.set_index == index]
-            places = {frame.sequence: name for name, frame in own}
-            for damage in item.damages():
-                told.add(damage.sequence or 0)
-                place = places.get(damage.sequence or 0, _name(folder, min(item.segments)))
-                damages.append((place, damage))
-    for name, frame in scan.unsound:
-        item = scan.sets[frame.set_index]
-        # Of a set with a file nobody reads it any more; a group that failed was written again elsewhere.
-        if frame.set_index not in filed and frame.sequence not in told and frame.sequence not in item.shots:
-            shot = f"shot {frame.sequence}" if frame.sequence >= 0 else "a note"
-            where = f"byte {frame.start}, {shot} of set {frame.set_index}"
-            reason = f"the frame at {where}, does not match its checksum"
-            damages.append((name, Damage(reason=reason, sequence=max(frame.sequence, 0) or None)))
-    return CheckedJournal(sets=scan.sets, damages=damages, n_frames=scan.n_frames, n_bytes=scan.n_bytes)
-
-
-def _name(folder: Path, number: int) -> str:
-    return segment_path(folder, number).relative_to(folder).as_posix()

@@ -1,13 +1,9 @@
-"""Store sets: record by record in the journal, or each at once in a file of its own.
-
-A file: image in memory, temporary name, fsync, rename, fsync of the folder, acknowledgement.
-"""
+"""Store sets in the journal, record by record; `compact_set` gives each its own file later."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import os
 import time
 from collections.abc import Mapping
@@ -34,7 +30,7 @@ from daq_service.archive.records import (
     set_reference,
     waveform_crc32,
 )
-from daq_service.shared_file import patiently, read_shared, remove_quietly, sync_folder, write_durably
+from daq_service.shared_file import patiently, remove_quietly, sync_folder
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 _REMEDY = {
@@ -55,9 +51,6 @@ class FolderArchive(FolderSetReader):
     ----------
     folder
         The data folder; files go to ``sets/`` in it.
-    journal
-        Sets go to the journal first, record by record, and get their files by `compact_set`. False: each
-        gets its file when it is whole. What an earlier process left in the journal is known either way.
 
     Raises
     ------
@@ -65,7 +58,7 @@ class FolderArchive(FolderSetReader):
         The folder cannot be made or written.
     """
 
-    def __init__(self, folder: Path, *, journal: bool = False) -> None:
+    def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self._sets_folder = folder / SETS_FOLDER
         try:
@@ -82,7 +75,7 @@ class FolderArchive(FolderSetReader):
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
-        self.keeps_open_sets = journal
+        self.journal_damage = self._kept.damage
         # Frames that share a segment with others outlive their set, whose first segments may be gone.
         for index in [index for index, item in self._kept.left.items() if not item.is_whole]:
             if index in self._files():
@@ -96,9 +89,8 @@ class FolderArchive(FolderSetReader):
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
         """Note that a set is begun; durable with the first `sync` after it."""
-        if self.keeps_open_sets:
-            self._begun[set_index] = set()
-            self._kept.begin(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+        self._begun[set_index] = set()
+        self._kept.begin(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
 
     def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
         """Take in what a begun set has come to; acknowledged by `sync`."""
@@ -130,41 +122,19 @@ class FolderArchive(FolderSetReader):
 
     def resume_set(self, opened: OpenSet) -> None:
         """Go on with an open set: what comes is added to what is durable."""
-        if self.keeps_open_sets:
-            self._begun[opened.set_index] = {record.sequence for record in opened.records}
+        self._begun[opened.set_index] = {record.sequence for record in opened.records}
+        if not opened.is_dated:
+            self._kept.begin(
+                opened.set_index,
+                due_utc_ns=opened.due_utc_ns,
+                started_utc_ns=opened.started_utc_ns,
+                retired=opened.retired,
+            )
 
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; when this returns every record of it is acknowledged."""
         start = time.perf_counter()
         reference = set_reference(record.set_index, record.due_utc_ns)
-        crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
-        store = self._store_journaled if self.keeps_open_sets else self._store_file
-        n_bytes, timings, sha256 = store(record, reference, start)
-        self._stored[record.set_index] = reference
-        return StoredSet(file=reference, n_bytes=n_bytes, crc32=crc32, timings=timings, sha256=sha256)
-
-    def _store_file(
-        self, record: SetRecord, reference: SetReference, start: float
-    ) -> tuple[int, StoreTimings, str | None]:
-        image = build_image(record)
-        built = time.perf_counter()
-        path = self.folder / reference
-        temporary = path.with_suffix(TEMPORARY_SUFFIX)
-        try:
-            self._check_own_folder()
-            self._check_free(reference, record.set_index, image)
-            write_s, fsync_s, directory_fsync_s = write_durably(path, image, temporary=temporary)
-        except OSError as error:
-            raise _refused(path, error) from error
-        self.settle(record.set_index)
-        timings = StoreTimings(
-            image_s=built - start, write_s=write_s, fsync_s=fsync_s, directory_fsync_s=directory_fsync_s
-        )
-        return len(image), timings, hashlib.sha256(image).hexdigest()
-
-    def _store_journaled(
-        self, record: SetRecord, reference: SetReference, start: float
-    ) -> tuple[int, StoreTimings, str | None]:
         stored = self._stored.get(record.set_index)
         if stored is not None:
             # The same set once more, after an error that came when all was done.
@@ -176,11 +146,13 @@ class FolderArchive(FolderSetReader):
         built = time.perf_counter()
         self.sync()
         self._begun.pop(record.set_index, None)
-        n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
-        timings = StoreTimings(
-            image_s=built - start, write_s=0.0, fsync_s=time.perf_counter() - built, directory_fsync_s=0.0
+        self._stored[record.set_index] = reference
+        return StoredSet(
+            file=reference,
+            n_bytes=sum(item.waveform.counts.nbytes for item in record.records),
+            crc32={item.sequence: waveform_crc32(item.waveform) for item in record.records},
+            timings=StoreTimings(image_s=built - start, fsync_s=time.perf_counter() - built),
         )
-        return n_bytes, timings, None
 
     def _end(self, record: SetRecord) -> None:
         """Add what the journal lacks of a set, and its end, once."""
@@ -215,7 +187,6 @@ class FolderArchive(FolderSetReader):
             if source.exists():
                 move_aside(self.folder, reference)
             else:
-                (self.folder / QUARANTINE_FOLDER).mkdir(exist_ok=True)
                 self._kept.set_aside(self._index_of(reference), source.name)
         except OSError as error:
             raise _refused(source, error) from error
@@ -235,13 +206,6 @@ class FolderArchive(FolderSetReader):
             raise ArchiveWriteError(
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
-
-    def _check_free(self, reference: SetReference, set_index: int, image: bytes) -> None:
-        """Nothing of this set is stored yet, or the very same bytes are."""
-        path = self.folder / reference
-        stored = self._stored.get(set_index, reference if path.exists() else None)
-        if stored is not None and (stored != reference or read_shared(path) != image):
-            raise self._conflict(set_index, stored)
 
     def _conflict(self, set_index: int, stored: SetReference) -> ConflictingSetError:
         return ConflictingSetError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -12,7 +14,7 @@ from typing import Any
 
 import orjson
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue.errors import (
@@ -29,6 +31,9 @@ FILE_NAME = "catalogue.sqlite"
 _WRITES = "solimon_writes"
 BUSY_TIMEOUT_S = 5.0
 """How long a writer waits for another one; a set's commit takes milliseconds."""
+LOCKED_FOR_S = 60.0
+"""After a writer has waited in vain it asks without waiting for so long, or until it gets the lock: what one
+set has to store goes in several transactions, and together they wait once."""
 IN_THE_MAKING_S = 0.25
 """A catalogue in the making looks damaged to a reader for some milliseconds; a damaged one does for ever."""
 
@@ -80,11 +85,15 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
             return connect()
         return patiently(connect, is_refusal=_is_in_the_making, patience_s=IN_THE_MAKING_S)
 
+    waited_in_vain_s = -math.inf
+
     # The pool is named because a URL without a file stands for a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: patiently(connected, is_refusal=lambda e: _is_held(e) and path.parent.is_dir()),
+        creator=lambda: patiently(
+            connected, is_refusal=lambda e: _is_held(e) and path.parent.is_dir(), report_after_s=0.0
+        ),
         poolclass=QueuePool,
         max_overflow=-1,
         json_serializer=json_text,
@@ -93,9 +102,19 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
+        nonlocal waited_in_vain_s
+        if not connection.get_execution_options().get(_WRITES, False):
+            connection.exec_driver_sql("BEGIN")
+            return
         # Two writers wait for each other at the start; later it would be too late to wait.
-        writes = connection.get_execution_options().get(_WRITES, False)
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+        wait_s = 0.0 if time.monotonic() < waited_in_vain_s + LOCKED_FOR_S else BUSY_TIMEOUT_S
+        connection.exec_driver_sql(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
+        try:
+            connection.exec_driver_sql("BEGIN IMMEDIATE")
+        except OperationalError:
+            waited_in_vain_s = time.monotonic() if wait_s else waited_in_vain_s
+            raise
+        waited_in_vain_s = -math.inf
 
     return engine
 

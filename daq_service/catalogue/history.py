@@ -191,14 +191,8 @@ class HistoryFollower:
                 HISTORY_FILE,
                 self._folder,
             )
-        if history.events:
-            last_id = max(history.events)
-            found = self._catalogue.rows(EventRow, after_id=last_id - 1, limit=1)
-            if found != [history.events[last_id]]:
-                raise CatalogueDamagedError(
-                    f"{self._folder / FILE_NAME} has lost rows: {HISTORY_FILE} knows event {last_id}; "
-                    "`solimon rebuild` makes the catalogue again from sets, journal and history"
-                )
+        if lacking := lacks_rows_of(history, self._catalogue):
+            raise CatalogueDamagedError(f"{self._folder / FILE_NAME} {lacking}")
         self.follow(now=True)
 
     def follow(self, *, now: bool = False) -> None:
@@ -266,6 +260,22 @@ class HistoryFollower:
                 break
             self._answered = order.id
         return orders
+
+
+def lacks_rows_of(history: History, catalogue: Catalogue) -> str:
+    """State that a catalogue lacks the history's newest event, as an older copy does; empty: it has it."""
+    last_id = max(history.events, default=0)
+    if not last_id or catalogue.rows(EventRow, after_id=last_id - 1, limit=1) == [history.events[last_id]]:
+        return ""
+    return lost_rows(last_id)
+
+
+def lost_rows(last_id: int) -> str:
+    """State that a catalogue lacks an event of the history."""
+    return (
+        f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
+        "from sets, journal and history"
+    )
 
 
 def _sets_of(events: Iterable[EventRow]) -> list[int]:

@@ -236,10 +236,9 @@ class Catalogue:
         """So many of the newest sets of each position that were missed, and of those that lack something."""
         return self._rows(SetRow, _newest_gaps(count))
 
-    def newest_file(self) -> str | None:
-        """Name the file of the newest planned set that has records; None before it."""
-        row = self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
-        return None if row is None else row.file
+    def newest_recorded(self) -> SetRow | None:
+        """Return a row of the newest planned set that has records; None before it."""
+        return self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
 
     def newest_files(self, n_rows: int) -> dict[int, str]:
         """Files that the newest rows of sets point at, by set index in order."""

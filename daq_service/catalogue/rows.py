@@ -384,3 +384,9 @@ def measured(kind: type[Row]) -> tuple[str, ...]:
 def values(row: Row) -> dict[str, Any]:
     """Value of each column by name, in order; what is nested is not copied."""
     return {name: getattr(row, name) for name in row.__slots__}
+
+
+def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
+    """Row as its event tells it: without an id that is not given out yet, ``last`` behind the others."""
+    told = {name: value for name, value in values(row).items() if name != "id" or value is not None}
+    return {name: told[name] for name in sorted(told, key=last.__eq__)}

@@ -23,6 +23,7 @@ from daq_service.catalogue.errors import (
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
 from daq_service.catalogue.pyramid import trend_differences
+from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.shared_file import remove_quietly
 
@@ -158,6 +159,14 @@ class CatalogueLook:
     def events_after(self, last_id: int) -> list[dict[str, Any]]:
         """Ids, kinds and times of the events behind one, in their order."""
         return self._ask("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
+
+    def has_event(self, event: EventRow) -> bool:
+        """Tell whether an event of the history is there; of a table that cannot be read others report."""
+        wanted = "SELECT id FROM events WHERE id = ? AND kind = ? AND wall_utc_ns = ?"
+        try:
+            return bool(self._ask(wanted, event.id, event.kind, event.wall_utc_ns))
+        except CatalogueDamagedError:
+            return True
 
     def set_indices(self) -> set[int]:
         """Return the sets that have rows."""

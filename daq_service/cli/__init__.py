@@ -3,6 +3,14 @@
 
 def main() -> None:
     """Run the command line; imported when it is called, so that importing this room costs nothing."""
-    from daq_service.cli.main import main as run_command_line
+    from daq_service.processes.inherited import reset_inherited
 
-    run_command_line()
+    reset_inherited()
+    from daq_service.cli.main import main as run_command_line
+    from daq_service.processes.printing import end_process
+
+    try:
+        run_command_line()
+    except SystemExit as ending:
+        end_process(ending.code if isinstance(ending.code, int) else int(ending.code is not None))
+        raise

@@ -19,6 +19,7 @@ from daq_service.cli.terminal import Telling, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
 from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
+from daq_service.processes.printing import print_line
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 
@@ -108,7 +109,7 @@ def _run_on(
     if code != EXIT_OK:
         return code
     if interrupted:
-        click.echo(f"interrupted; what was taken is in {folder}", err=as_json)
+        print_line(f"interrupted; what was taken is in {folder}", err=as_json)
         return EXIT_INTERRUPTED
     summary = summarise_run(settings, folder)
     elapsed_s = time.time() - started_s

@@ -174,7 +174,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         provenance={"configuration": settings.model_dump(mode="json")},
-        results=_results(settings, records) if settings.storage.journal else {},
+        results=_results(settings, records),
     )
 
 

@@ -73,7 +73,7 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 def _print_receivers(settings: Settings) -> None:
     """Say who is told of alarms, and what is missing here; the service may run as another user."""
-    from daq_service.web.notifications.addresses import address_of, shown_address
+    from daq_service.processes.notifications.addresses import address_of, shown_address
 
     for name, receiver in settings.notifications.receivers.items():
         click.echo(f"receiver   {name}: {receiver.kind}, {shown_address(receiver)}")

@@ -20,10 +20,12 @@ import click
 from daq_service.errors import (
     EXIT_FAULT,
     EXIT_INTERRUPTED,
+    EndedByLibraryError,
     SolimonError,
     StorageError,
     StorageUnavailableError,
 )
+from daq_service.settings.foreign_text import plain_output
 
 
 class _Positive(click.FloatRange):
@@ -51,7 +53,7 @@ EXECUTORS = "processes|threads|dask://HOST"
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
 
 
-def order_options(command: Callable[..., None]) -> Callable[..., None]:
+def order_options(command: Callable[..., int]) -> Callable[..., int]:
     """Options of an order to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
@@ -62,6 +64,15 @@ def order_options(command: Callable[..., None]) -> Callable[..., None]:
 
 class _Words(click.Group):
     """Tells each of its words by a whole sentence, on as many lines as that takes."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Carry out a command and end with its exit code; a library that ends the process is an error."""
+        try:
+            ctx.exit(super().invoke(ctx) or 0)
+        except (Exception, KeyboardInterrupt):
+            raise
+        except BaseException as ending:
+            raise EndedByLibraryError(ending) from ending
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the section of the commands; click itself would cut them to a line."""
@@ -104,13 +115,15 @@ def cli() -> None:
 )
 @DATA_DIR
 @JSON
-def demo(**options: Any) -> None:
+def demo(**options: Any) -> int:
     """Run the paper's experiment on the twin and show it live."""
     # Before anything heavy is imported: on a cold machine that takes seconds.
-    click.echo("solimon demo: the paper's corrosion test on the physics twin; starting", err=True)
+    from daq_service.processes.printing import print_line
+
+    print_line("solimon demo: the paper's corrosion test on the physics twin; starting")
     from daq_service.cli.demo import run_demo
 
-    sys.exit(run_demo(**options))
+    return run_demo(**options)
 
 
 @cli.command()
@@ -118,11 +131,11 @@ def demo(**options: Any) -> None:
 @DATA_DIR
 @click.option("--port", type=PORT_NUMBER, help="Port of the dashboard; default: the configuration's.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
-def run(**options: Any) -> None:
+def run(**options: Any) -> int:
     """Record and serve under a supervisor that restarts what fails."""
     from daq_service.cli.run import run_supervised
 
-    sys.exit(run_supervised(**options))
+    return run_supervised(**options)
 
 
 @cli.command()
@@ -132,12 +145,11 @@ def run(**options: Any) -> None:
 @click.option("--log-json", is_flag=True, help="Print a line of JSON for each shot once it is durable.")
 @RESTARTED
 @SUPERVISED
-def record(**options: Any) -> None:
+def record(**options: Any) -> int:
     """Record only: own the rig and the data folder, follow the schedule."""
-    from daq_service.cli.run import record_alone, tried_again
+    from daq_service.cli.run import child_code, record_alone
 
-    with tried_again(options["restarted_because"]):
-        sys.exit(record_alone(**options))
+    return child_code(record_alone, options)
 
 
 @cli.command()
@@ -151,28 +163,27 @@ def record(**options: Any) -> None:
 )
 @RESTARTED
 @SUPERVISED
-def serve(**options: Any) -> None:
+def serve(**options: Any) -> int:
     """Serve only: REST, stream and dashboard of a test, or of several.
 
     PATH is a configuration or a data folder. Several tests are listed at /, each answers below /tests/NAME/;
     --data-dir is then the service's own folder: tokens, audit of logins, log.
     """
-    from daq_service.cli.run import tried_again
+    from daq_service.cli.run import child_code
     from daq_service.cli.serve import serve_tests
 
-    with tried_again(options["restarted_because"]):
-        sys.exit(serve_tests(**options))
+    return child_code(serve_tests, options)
 
 
 @cli.command()
 @CONFIG
 @DATA_DIR
 @click.option("--for-recorder", is_flag=True, hidden=True)
-def drive(**options: Any) -> None:
+def drive(**options: Any) -> int:
     """Own the corrosion drive's port beside a recorder, which starts this by itself; never energises."""
     from daq_service.cli.run import drive_alone
 
-    sys.exit(drive_alone(**options))
+    return drive_alone(**options)
 
 
 @cli.command("check-config")
@@ -332,11 +343,11 @@ def notify() -> None:
 @CONFIG
 @click.option("--receiver", metavar="NAME", help="This one only; default: all.")
 @JSON
-def notify_test(**options: Any) -> None:
+def notify_test(**options: Any) -> int:
     """Send each receiver one message that is marked as a trial, and say what became of it."""
     from daq_service.cli.set_up.notify import run_test
 
-    run_test(**options)
+    return run_test(**options)
 
 
 @cli.command()
@@ -344,11 +355,11 @@ def notify_test(**options: Any) -> None:
 @DATA_DIR
 @click.option("--strike", metavar="POSITION", help="Also strike this transducer; on boards twice.")
 @JSON
-def doctor(**options: Any) -> None:
+def doctor(**options: Any) -> int:
     """Look at software, rig, data folder and clocks; says what to do. Strikes nothing unless told to."""
     from daq_service.cli.doctor.command import run_doctor
 
-    sys.exit(run_doctor(**options))
+    return run_doctor(**options)
 
 
 @cli.command()
@@ -356,11 +367,11 @@ def doctor(**options: Any) -> None:
 @DATA_DIR
 @click.option("--watch", is_flag=True, help="Show it anew every second, until Ctrl-C; needs a terminal.")
 @JSON
-def status(**options: Any) -> None:
+def status(**options: Any) -> int:
     """Say how a test stands: recorder, last sets, features, alarms."""
     from daq_service.cli.status.command import run_status
 
-    sys.exit(run_status(**options))
+    return run_status(**options)
 
 
 @cli.command(
@@ -410,7 +421,7 @@ REASONS = {
 """What is said where an order lacks the reason that it needs, and what is asked at a terminal."""
 
 
-def _give_order(kind: str, **options: Any) -> None:
+def _give_order(kind: str, **options: Any) -> int:
     if kind in REASONS and not options["note"].strip():
         lacking, question = REASONS[kind]
         if not sys.stdin.isatty():
@@ -418,7 +429,7 @@ def _give_order(kind: str, **options: Any) -> None:
         options["note"] = click.prompt(question, err=True)
     from daq_service.orders.give import give_order
 
-    sys.exit(give_order(kind, **options))
+    return give_order(kind, **options)
 
 
 add_order("hold", "Strike no more until `release`: somebody works at the rig. Sets that fall due are missed.")
@@ -442,14 +453,14 @@ add_order(
 @click.option("--voltage-v", type=float, help="With --on: voltage in V; default: the configuration's.")
 @click.option("--current-limit-a", type=float, help="With --on: limit in A; default: the configuration's.")
 @order_options
-def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: Any) -> None:
+def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: Any) -> int:
     """Switch the corrosion drive of a running test; nothing else ever switches it on."""
     if on is None:
         raise click.UsageError("say --on or --off")
     if not on and (voltage_v is not None or current_limit_a is not None):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a} if on else {}
-    _give_order("supply_on" if on else "supply_off", **values, **options)
+    return _give_order("supply_on" if on else "supply_off", **values, **options)
 
 
 @cli.command()
@@ -509,11 +520,11 @@ def simulate(**options: Any) -> None:
 @click.option("--only", metavar="NAMES", help="Some of them only, for example fig12,table2.")
 @SEED
 @JSON
-def reproduce(**options: Any) -> None:
+def reproduce(**options: Any) -> int:
     """Draw the paper's figures and tables from a test and the models, and say where they deviate."""
     from daq_service.cli.reproduce.run import reproduce as carry_out
 
-    sys.exit(carry_out(**options))
+    return carry_out(**options)
 
 
 FOLDER_ALONE = click.option("--data-dir", type=FOLDER, required=True, help="Data folder of the test.")
@@ -522,11 +533,11 @@ FOLDER_ALONE = click.option("--data-dir", type=FOLDER, required=True, help="Data
 @cli.command()
 @FOLDER_ALONE
 @JSON
-def verify(**options: Any) -> None:
+def verify(**options: Any) -> int:
     """Check everything stored: frames, files, rows against files both ways; beside a running test, too."""
     from daq_service.cli.keeping.command import run_verify
 
-    sys.exit(run_verify(**options))
+    return run_verify(**options)
 
 
 @cli.command()
@@ -534,22 +545,22 @@ def verify(**options: Any) -> None:
 @click.option("--apply", is_flag=True, help="Do it; without, it is only said. Needs a stopped recorder.")
 @click.option("--from", "backup", type=FOLDER, help="A backup of this test, for files that are lost.")
 @JSON
-def repair(**options: Any) -> None:
+def repair(**options: Any) -> int:
     """Mend what needs no guess; says what it would do, and what only a person can."""
     from daq_service.cli.keeping.command import run_repair
 
-    sys.exit(run_repair(**options))
+    return run_repair(**options)
 
 
 @cli.command()
 @click.argument("destination", type=FOLDER)
 @FOLDER_ALONE
 @JSON
-def backup(**options: Any) -> None:
+def backup(**options: Any) -> int:
     """Copy a test to DESTINATION while it runs; a second backup copies only what is new."""
     from daq_service.cli.keeping.command import run_backup
 
-    sys.exit(run_backup(**options))
+    return run_backup(**options)
 
 
 @cli.command()
@@ -577,11 +588,11 @@ def backup(**options: Any) -> None:
 @click.option("--fields", metavar="NAMES", help="Of the table: these columns only, for example tof_pp_s.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @JSON
-def export(**options: Any) -> None:
+def export(**options: Any) -> int:
     """Write a test, also one that runs, for other programs: all of it as HDF5, a table, or records."""
     from daq_service.cli.keeping.command import run_export
 
-    sys.exit(run_export(**options))
+    return run_export(**options)
 
 
 @cli.command()
@@ -604,11 +615,11 @@ def export(**options: Any) -> None:
 )
 @click.option("--verify", is_flag=True, help="Check everything stored, too, as `solimon verify` does.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
-def certify(**options: Any) -> None:
+def certify(**options: Any) -> int:
     """Certify a test that runs or has ended: shots, gaps, faults, delays, memory, disk, clock, a verdict."""
     from daq_service.cli.keeping.command import run_certify
 
-    sys.exit(run_certify(**options))
+    return run_certify(**options)
 
 
 @cli.command()
@@ -703,10 +714,11 @@ def replay(**options: Any) -> None:
     run_replay(**options)
 
 
+@plain_output()
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:
-        cli.main(standalone_mode=False)
+        sys.exit(cli.main(standalone_mode=False))
     except click.exceptions.Abort:
         _end("interrupted", EXIT_INTERRUPTED)
     except click.ClickException as error:
@@ -743,5 +755,7 @@ def _where(error: Exception) -> str:
 
 
 def _end(message: str, code: int) -> None:
-    click.echo(f"solimon: {message}", err=True)
+    from daq_service.processes.printing import print_line
+
+    print_line(f"solimon: {message}")
     sys.exit(code)

@@ -10,12 +10,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
-
-import click
+from typing import TYPE_CHECKING, Any
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.terminal import Telling
@@ -28,6 +27,8 @@ from daq_service.errors import (
     UsageError,
 )
 from daq_service.processes.child import (
+    PROGRAM,
+    announced,
     leave_when_pipe_closes,
     log_in_thread,
     log_to,
@@ -44,6 +45,9 @@ from daq_service.processes.data_folder import (
     sweep,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
+from daq_service.processes.heartbeat import web_beat
+from daq_service.processes.notifications.service import standing_by
+from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import notify, telling_service_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
@@ -63,21 +67,25 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-@contextmanager
-def tried_again(restarted_because: str) -> Iterator[None]:
-    """Let a child that was started again end with a code after which its supervisor tries once more.
+def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
+    """Return the exit code of a child, which its supervisor is sent first.
 
     Raises
     ------
     TriedAgainError
-        The disk refuses now; whoever starts a process by hand is told so at once instead.
+        The disk refuses now, and the child was started again: its supervisor tries once more. A process that
+        a person starts ends with `StorageUnavailableError` instead.
     """
-    try:
-        yield
-    except StorageUnavailableError as error:
-        if not restarted_because:
-            raise
-        raise TriedAgainError(str(error)) from error
+
+    def run() -> int:
+        try:
+            return carry_out(**options)
+        except StorageUnavailableError as error:
+            if not options["restarted_because"]:
+                raise
+            raise TriedAgainError(str(error)) from error
+
+    return announced(run, supervised=options["supervised"])
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
@@ -90,7 +98,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
         refuse_open_doors(settings.web, folder)
     if not no_web and settings.notifications.receivers:
-        from daq_service.web.notifications.addresses import refuse_unusable
+        from daq_service.processes.notifications.addresses import refuse_unusable
 
         refuse_unusable(settings.notifications)
 
@@ -119,7 +127,8 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             on_message=on_message,
             without_recorder=stack.enter_context(guarded_drive(settings, folder)),
         )
-        code = supervisor.run(stop, stay=not no_web)
+        with standing_by(settings, folder, watches=True):
+            code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
@@ -178,6 +187,7 @@ def record_alone(
         tell = tell_supervisor
         if not supervised:
             tell = left.enter_context(telling_service_manager(left.enter_context(Telling())))
+            left.enter_context(standing_by(settings, folder, watches=False))
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
@@ -198,7 +208,7 @@ def record_alone(
         except SolimonError as error:
             log.error("%s", error)
             raise
-        except Exception:
+        except BaseException:  # a driver may also raise SystemExit
             log.exception("the recorder failed")
             raise
         return EXIT_OK if finished else EXIT_INTERRUPTED
@@ -229,7 +239,7 @@ def _print_acknowledgement(shot_id: int) -> None:
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the process of the drive so that it outlives this one, with the settings that this one has."""
-    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(folder), "--for-recorder"]
+    command = [*PROGRAM, "drive", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
@@ -308,9 +318,9 @@ def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restarted_because: str, supervised: bool
 ) -> int:
     """Serve the data folder until somebody says stop."""
+    from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
     from daq_service.web.doors.entry import refuse_open_doors
-    from daq_service.web.notifications.addresses import refuse_unusable
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:
@@ -336,10 +346,17 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
         if supervised:
             tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:
-            click.echo(f"dashboard: {url}")
+            print_line(f"dashboard: {url}", err=False)
 
+    def on_beat() -> None:
+        if supervised:
+            tell_supervisor("beat", **asdict(web_beat()))
+        else:
+            notify("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
+
+    at = web.port if port is None else port
     with stop_on_signals() as stop:
         if supervised:
             leave_when_pipe_closes(stop)
-        serve(app, web.host, web.port if port is None else port, on_bound=on_bound, stop=stop, locks=web)
+        serve(app, web.host, at, on_bound=on_bound, stop=stop, locks=web, on_beat=on_beat)
         return EXIT_OK if supervised else EXIT_INTERRUPTED

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import click
-
 from daq_service.cli.run import serve_alone, serve_app
 from daq_service.errors import UsageError
 from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import data_folder, prepare_data_folder
+from daq_service.processes.printing import print_line
 from daq_service.settings.file import load_settings
 
 OWN_FOLDER = "solimon-service"
@@ -58,5 +57,5 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     app = create_app_of_many(paths, settings, folder)
     prepare_data_folder(folder)
     log_to(folder / "logs" / "web.log")
-    click.echo(f"the service's own folder (tokens, logins, log): {folder}", err=True)
+    print_line(f"the service's own folder (tokens, logins, log): {folder}")
     return serve_app(app, settings.web, port)

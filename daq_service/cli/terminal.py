@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
+from daq_service.processes.printing import HELD_AFTER_S, PRINTING, drop_unwritten
+from daq_service.settings.foreign_text import PlainStream, in_one_line
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.live import Live
@@ -28,13 +31,18 @@ SHOWN_AFTER_S = 2.0
 LOGGED_EVERY_S = 60.0
 """A log gets a line a set, of a test in simulated time one of many."""
 DRAWN_PER_S = 2.0
+MOST_HELD_LINES = 10_000
+"""Later lines are dropped while a terminal is held."""
 
 
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
     """Return rich's console: colour only on a terminal and without ``NO_COLOR``; it invents no highlights."""
     from rich.console import Console
 
-    return Console(file=getattr(sys, stream), highlight=False, markup=False, emoji=False)
+    file = getattr(sys, stream)
+    # Its own colours and moves of the cursor go past what escapes those of others.
+    file = file.stream if isinstance(file, PlainStream) else file
+    return Console(file=file, highlight=False, markup=False, emoji=False)
 
 
 def duration(seconds: float) -> str:
@@ -70,7 +78,7 @@ class Telling:
         self._progress, self._logged_s = "", -float("inf")
         self._gap: tuple[str, int, int] | None = None
         self._lines: queue.SimpleQueue[tuple[str, bool, str] | None] = queue.SimpleQueue()
-        self._writer = threading.Thread(target=self._write, name="telling", daemon=True)
+        self._writer = threading.Thread(target=self._write, name=PRINTING, daemon=True)
 
     def __enter__(self) -> Self:
         if sys.stderr.isatty():
@@ -84,9 +92,6 @@ class Telling:
                 redirect_stdout=False,
                 redirect_stderr=False,
             )
-            self._live.start()
-            # It is hidden for a picture that flickers; a process that is killed would leave it so.
-            self._live.console.show_cursor(True)
         self._writer.start()
         return self
 
@@ -95,24 +100,32 @@ class Telling:
     ) -> None:
         self._end_gap()
         self._lines.put(None)
-        self._writer.join()
-        if self._live is not None:
-            with suppress(OSError):  # the terminal is gone
-                self._live.stop()
-            self._live = None
-            if self._progress:
-                self._print(self._progress, err=True, style="")
+        self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
         """Tell what a person asked for, on standard output as a rule."""
         self._say(text, err=self._news_to_stderr)
 
     def _say(self, text: str, *, err: bool = True, style: str = "") -> None:
-        self._lines.put((text, err, style))
+        if self._lines.qsize() < MOST_HELD_LINES:
+            self._lines.put((in_one_line(text), err, style))
 
     def _write(self) -> None:
+        live = self._live
+        if live is not None:
+            with suppress(OSError):  # the terminal is gone
+                live.start()
+                # It is hidden for a picture that flickers; a process that is killed would leave it so.
+                live.console.show_cursor(True)
         for text, err, style in iter(self._lines.get, None):
             self._print(text, err=err, style=style)
+        if live is not None:
+            with suppress(OSError):
+                live.stop()
+            self._live = None
+            if self._progress:
+                self._print(self._progress, err=True, style="")
+        drop_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
         try:
@@ -120,7 +133,7 @@ class Telling:
                 self._live.console.print(text, style=style, soft_wrap=True)
             else:
                 click.echo(text, err=err)
-        except OSError as gone:
+        except (OSError, ValueError) as gone:  # ValueError: closed, or letters that its encoding lacks
             log.debug("nobody reads %r: %s", text, gone)
 
     def _text(self) -> Text:
@@ -132,7 +145,7 @@ class Telling:
         took_s = self._mono_s() - since_s
         long = f"{doing}; {duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         told = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(told, no_wrap=True, overflow="ellipsis")
+        return Text(in_one_line(told), no_wrap=True, overflow="ellipsis")
 
     # What a recorder says, by itself or to its supervisor -------------------------------------------------
 
@@ -148,6 +161,8 @@ class Telling:
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
             self._say(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
+        elif message["event"] == "printed":
+            self._say(values["text"])
         elif child == "recorder":
             self(message["event"], **values)
 

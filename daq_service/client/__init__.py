@@ -36,15 +36,18 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
     ------
     StorageError
         The folder holds no test yet, or cannot be read.
+    ClientError
+        The address is invalid, or a variable of the environment that concerns it (``HTTP_PROXY``,
+        ``HTTPS_PROXY``, ``ALL_PROXY``, ``SSL_CERT_FILE``, ``SSL_CERT_DIR``) cannot be used. This computer's
+        own addresses are asked without a proxy.
     """
-    import httpx
-
-    from daq_service.client.connection import Connection
-
     if not str(where).startswith(("http://", "https://")):
         from daq_service.client.in_process import folder_connection
 
         return Experiment(folder_connection(Path(where)))
+    from daq_service.client.connection import Connection
+    from daq_service.client.transport import http_client
+
     given = token or os.environ.get(TOKEN_VARIABLE)
     headers = {"Authorization": f"Bearer {given}"} if given else {}
-    return Experiment(Connection(httpx.Client(base_url=str(where), headers=headers, timeout=timeout_s)))
+    return Experiment(Connection(http_client(str(where), headers=headers, timeout_s=timeout_s)))

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import json
+import logging
+import re
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import httpx
 
 from daq_service.client.errors import RefusedError, UnreachableError
+from daq_service.client.transport import through
+
+log = logging.getLogger(__name__)
 
 API = "/api/v1/"
 LARGEST_PAGE = 1000
 RETRY_S = 1.0
 """Between tries to come back to a stream, as its `retry` asks for."""
+
+PASSING = frozenset({408, 425, 429})
+"""Answers below 500 after which the same question may have another answer."""
+LONGEST_LINE_BYTES = 10_000_000
+"""The rest is dropped: a line without an end takes no more memory than that."""
 
 Events = Callable[[int, str | None], Iterator[dict[str, Any]]]
 """Takes an event's id and topics; endless, in the order of the ids."""
@@ -52,7 +61,11 @@ class Connection:
         RefusedError, UnreachableError
             The service refuses, with its reason; or nobody answers.
         """
-        answer: dict[str, Any] = self.response(path, **asked).json()
+        response = self.response(path, **asked)
+        try:
+            answer: dict[str, Any] = response.json()
+        except ValueError:
+            raise _foreign(response) from None
         return answer
 
     def response(self, path: str, **asked: Any) -> httpx.Response:
@@ -60,10 +73,10 @@ class Connection:
         given = {name: value for name, value in asked.items() if value is not None}
         try:
             response = self.http.get(API + path, params=given)
-        except httpx.TransportError as error:
-            raise UnreachableError(
-                f"{self.http.base_url} does not answer ({error}); `solimon run` or `solimon serve` makes it"
-            ) from error
+        except httpx.RequestError as error:
+            url = self.http.base_url
+            remedy = "start `solimon run` or `solimon serve`; SSL_CERT_FILE names certificates of your own"
+            raise UnreachableError(f"{url} does not answer{through(url)} ({error}); {remedy}") from error
         check(response)
         return response
 
@@ -83,21 +96,26 @@ class Connection:
         return (self._events or self._streamed)(after, topics)
 
     def _streamed(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+        asked: Mapping[str, str] = {} if topics is None else {"topics": topics}
+        url, trouble = self.http.base_url, ""
         while not self._closed.is_set():
-            asked: Mapping[str, str] = {} if topics is None else {"topics": topics}
             headers = {"Last-Event-ID": str(after), "Accept": "text/event-stream"}
             # A service that is restarted is waited for: its events are in the catalogue.
-            with (
-                suppress(httpx.TransportError),
-                self.http.stream("GET", API + "stream", params=asked, headers=headers) as response,
-            ):
-                if response.status_code != httpx.codes.SERVICE_UNAVAILABLE:
-                    if response.is_error:
+            try:
+                with self.http.stream("GET", API + "stream", params=asked, headers=headers) as response:
+                    if response.is_client_error and response.status_code not in PASSING:
                         response.read()
-                    check(response)
-                    for event in parsed(response.iter_lines()):
+                        check(response)
+                    kind = response.headers.get("content-type", "")
+                    reason = "" if "event-stream" in kind else f"it answers {response.status_code} {kind}"
+                    for event in parsed(lines_of(response.iter_bytes())):
                         after = event["id"]
                         yield event
+            except httpx.RequestError as error:
+                reason = str(error)
+            if reason not in ("", trouble):
+                log.warning("no events from %s%s, asked again: %s", url, through(url), reason)
+            trouble = reason
             self._closed.wait(RETRY_S)
 
 
@@ -107,26 +125,50 @@ def check(response: httpx.Response) -> None:
         return
     try:
         problem = response.json()
-        told = f"{problem['detail']} {problem['hint']}"
-    except (ValueError, KeyError):
-        raise RefusedError(
-            response.status_code,
-            "about:blank",
-            f"{response.url} answers {response.status_code}; give the address of a service of solimon",
-        ) from None
-    raise RefusedError(response.status_code, problem["type"], told)
+        reason, kind = f"{problem['detail']} {problem['hint']}", problem["type"]
+    except (ValueError, KeyError, TypeError):
+        raise _foreign(response) from None
+    raise RefusedError(response.status_code, kind, reason)
+
+
+def _foreign(response: httpx.Response) -> RefusedError:
+    answered = f"{response.url} answers {response.status_code}{through(response.url)}"
+    reason = f"{answered}; give the address of a service of solimon"
+    return RefusedError(response.status_code, "about:blank", reason)
+
+
+def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
+    """Yield the complete lines of a stream of events: they end by CR, LF or both, and by nothing else."""
+    pending, after_cr = b"", False
+    for chunk in chunks:
+        pending += chunk[1:] if after_cr and chunk.startswith(b"\n") else chunk
+        after_cr = chunk.endswith(b"\r")
+        *complete, pending = re.split(rb"\r\n|\r|\n", pending)
+        pending = pending[:LONGEST_LINE_BYTES]
+        yield from (line.decode(errors="replace") for line in complete)
 
 
 def parsed(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
-    """Server-sent events but for heartbeats and the service's goodbye."""
+    """Yield server-sent events but for heartbeats and the service's goodbye.
+
+    A frame that cannot be read is reported in the log and skipped.
+    """
     fields: dict[str, str] = {}
     for line in lines:
         if line:
-            name, _, value = line.partition(": ")
-            fields[name] = value
+            name, _, value = line.partition(":")
+            before = f"{fields[name]}\n" if name == "data" and name in fields else ""
+            fields[name] = before + value.removeprefix(" ")
             continue
-        topic, data = fields.get("event"), fields.get("data")
-        if topic and topic != "bye" and data:
-            told = json.loads(data)
-            yield {"id": int(fields["id"]), "topic": topic, "kind": topic, **told}
-        fields = {}
+        frame, fields = fields, {}
+        topic = frame.get("event")
+        if topic in (None, "", "heartbeat", "bye") or not frame.get("data"):
+            continue
+        try:
+            event = {"topic": topic, "kind": topic, **json.loads(frame["data"]), "id": int(frame["id"])}
+            if not 0 <= event["id"] < 10**18:  # as the service takes it back
+                raise ValueError(f"its id is {event['id']}")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            log.warning("an event of the stream cannot be read and is left out: %r: %.200s", error, frame)
+            continue
+        yield event

@@ -42,7 +42,9 @@ AlarmKind = Literal[
     "supply_above_cap",
     "interlock_tripped",
     "supply_unwatched",
+    "climate_not_responding",
 ]
+NORMAL = "returned to normal"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,50 +76,6 @@ class TellsProtections(Protocol):
     @property
     def protection_unknown(self) -> str:
         """Why a protection could trip without being told; empty where the supply tells."""
-        ...
-
-
-class SupplyDrive(Protocol):
-    """The drive as a recorder sees it: here, or in a process of its own (`remote`)."""
-
-    def tick(self) -> None:
-        """Do what is due; an instrument's error is noted and never raised."""
-        ...
-
-    def conditions(self) -> tuple[DriveCondition, ...]:
-        """Possible alarms, each with whether it stands."""
-        ...
-
-    def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Row of a set: means since `begin_window`, totals since hour 0; without climate."""
-        ...
-
-    def begin_window(self) -> None:
-        """Start the means anew, once the last row is stored."""
-        ...
-
-    def energise(
-        self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
-    ) -> Reply:
-        """Switch the output on at a person's command, and reset the interlock."""
-        ...
-
-    def switch_off(self, author: str) -> Reply:
-        """Switch the output off at a person's command; the interlock stays as it is."""
-        ...
-
-    def switch_off_at_end(self) -> None:
-        """Switch the output off at the end of a test, within the time that a supervisor leaves for it.
-
-        Raises
-        ------
-        InstrumentError
-            It may still be on.
-        """
-        ...
-
-    def trip(self, reason: str) -> bool:
-        """Open the interlock; True if the output was read back as off."""
         ...
 
 
@@ -459,7 +417,7 @@ class ElectrochemicalDrive:
             "supply_unwatched": ("supply_unwatched" in self._latched, tripped_at),
         }
         return tuple(
-            DriveCondition(name=name, active=active, message=message if active else "returned to normal")
+            DriveCondition(name=name, active=active, message=message if active else NORMAL)
             for name, (active, message) in present.items()
         )
 

@@ -76,7 +76,7 @@ class Address:
     fingerprint: str
 
 
-def own_drive(folder: Path, address: Address) -> AbstractContextManager[None]:
+def own_drive(folder: Path, address: Address) -> AbstractContextManager[object]:
     """Hold the drive's lock, with an address that only this user reads; `BusyError` if another one does."""
     text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
     return hold_lock(folder, DRIVE_LOCK, text, who="process of the drive", mode=0o600)

@@ -67,7 +67,7 @@ class _Request:
 
 
 class RemoteDrive:
-    """A `SupplyDrive` in another process; a context manager that leaves that process running.
+    """The drive in another process; a context manager that leaves that process running.
 
     Parameters
     ----------

@@ -17,7 +17,14 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive, Reply, SupplyDrive, no_supply, summary
+from daq_service.corrosion_drive.drive import (
+    NORMAL,
+    DriveCondition,
+    ElectrochemicalDrive,
+    Reply,
+    no_supply,
+    summary,
+)
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
@@ -42,6 +49,7 @@ SEVERITIES: Mapping[str, Severity] = {
 }
 
 Awaited = Callable[[], str | None]
+SupplyDrive = ElectrochemicalDrive | RemoteDrive
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
 
 
@@ -98,25 +106,25 @@ class DriveWatch:
             self._drive.tick()
         self._carry_alarms(hour)
 
-    def _conditions(self) -> Iterator[tuple[str, bool, str]]:
+    def _conditions(self) -> Iterator[DriveCondition]:
         if self._climate is not None:
             message = self._climate.not_responding()
-            yield "climate_not_responding", bool(message), message or "returned to normal"
-        for found in () if self._drive is None else self._drive.conditions():
-            yield found.name, found.active, found.message
+            active = bool(message)
+            yield DriveCondition(name="climate_not_responding", active=active, message=message or NORMAL)
+        yield from () if self._drive is None else self._drive.conditions()
 
     def _carry_alarms(self, hour: float) -> None:
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = Transaction()
-        for kind, active, message in self._conditions():
+        for found in self._conditions():
             condition = Condition(
                 position=None,
-                kind=kind,
+                kind=found.name,
                 family="device",
-                severity=SEVERITIES[kind],
-                present=active,
-                message=message,
-                proof=self.summary() if active else {},
+                severity=SEVERITIES[found.name],
+                present=found.active,
+                message=found.message,
+                proof=self.summary() if found.active else {},
             )
             self._carry(condition, moment, transaction)
         if transaction.events:

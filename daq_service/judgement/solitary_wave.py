@@ -21,7 +21,7 @@ from analysis.waves.features import (
     mean_features,
 )
 from analysis.waves.quality_gate import ACCEPTED
-from analysis.waves.template import compared_with_others, learnt
+from analysis.waves.template import compared_with_others, learnt, without_residue
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
@@ -183,6 +183,10 @@ class SolitaryWaveAssessor:
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> tuple[list[ShotFeatures], list[ShotFeatures], SetFeatures]:
         """Look at the shots of a set together: features of all, those of the accepted ones, the set's."""
+        baseline = self._state.baseline
+        if baseline is not None and baseline.fitted is not None:
+            usual = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])
+            features = without_residue(features, usual)
         # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
         features = compared_with_others(features, learnt(features))
         counts = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from daq_service.alarms.states import NOT_JUDGED, retired_positions
 from daq_service.catalogue.reader import LastWord
 from daq_service.judgement.methods import METHODS
@@ -12,21 +14,35 @@ from daq_service.settings.tree import ScheduleSettings, Settings
 STALE_INTERVALS = 1.5
 """A set may be late by half an interval before its position counts as stale."""
 
+PositionStatus = Literal[
+    "no_data", "normal", "learning", "not_judged", "outlier", "shelved", "out_of_service", "retired", "alarm"
+]
+"""Statuses of a position in rising urgency: an alarm calls for a person, who knows of a retirement."""
 
-def state_word(last: LastWord) -> str:
-    """One word for a position, the gravest first."""
+
+def state_word(last: LastWord) -> PositionStatus:
+    """Return the status of a position; of one that has an alarm it never is ``normal``.
+
+    Parameters
+    ----------
+    last
+        Its alarms as they are now (`Freshness.standing_word`): a shelf that has expired hides none.
+    """
     verdict = last.last_verdict
     if retired_positions(last.active_alarms):
         return "retired"
     if last.last_set is None:
         return "no_data"
-    if any(row.suppressed is None and row.kind != NOT_JUDGED for row in last.active_alarms):
+    how_suppressed = {row.suppressed for row in last.active_alarms if row.kind != NOT_JUDGED}
+    if None in how_suppressed:
         return "alarm"
+    if how_suppressed:
+        return "out_of_service" if "out_of_service" in how_suppressed else "shelved"
     if verdict is not None and verdict.outlier:
         return "outlier"
     if not METHODS[last.method].has_baseline or (verdict is not None and verdict.outlier is not None):
         return "normal"
-    return "learning" if verdict is None or verdict.in_baseline else NOT_JUDGED
+    return "learning" if verdict is None or verdict.in_baseline else "not_judged"
 
 
 def limit_of(last: LastWord, settings: Settings) -> float | None:

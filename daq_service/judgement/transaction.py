@@ -18,10 +18,9 @@ from daq_service.catalogue.rows import (
     EnvironmentRow,
     EventRow,
     Outcome,
-    Row,
     SetRow,
     ShotRow,
-    values,
+    payload_of,
 )
 from daq_service.judgement.assessment import Assessment
 from hardware_drivers.measurement import PulseEchoRecord, Shot
@@ -147,9 +146,3 @@ class Transaction(SetCommit):
                 payload=dict(payload),
             )
         )
-
-
-def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
-    """Row as its event tells it: without an id that is not given out yet, ``last`` behind the others."""
-    told = {name: value for name, value in values(row).items() if name != "id" or value is not None}
-    return {name: told[name] for name in sorted(told, key=last.__eq__)}

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
 from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_JUDGED, reset
 from daq_service.judgement.life import APPROVED, COLLECTING, RETIRED, renewed, signed
-from daq_service.orders.kinds import WRITTEN, Facts, Refusal, TransducerArguments, TransducerOrder
+from daq_service.orders.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerOrder
+from daq_service.settings.foreign_text import require_written
 
 if TYPE_CHECKING:
     from daq_service.orders.running_test import RunningTest
-
-
-def _says_why(note: str) -> str:
-    if not WRITTEN.search(note):
-        raise ValueError("say why the baseline is retired, such as 'the sensor was coupled anew'")
-    return note
 
 
 class RenewalArguments(TransducerArguments):
@@ -25,8 +21,8 @@ class RenewalArguments(TransducerArguments):
 
     note: Annotated[
         str,
-        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": WRITTEN.pattern}),
-        AfterValidator(_says_why),
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(partial(require_written, message="say why the baseline is retired")),
     ]
 
 

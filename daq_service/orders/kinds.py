@@ -6,9 +6,9 @@ recorder of what is so now. A new kind is a class here, or in a module beside, a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -25,6 +25,7 @@ from daq_service.alarms.states import (
 )
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
+from daq_service.settings.foreign_text import WRITTEN, require_written
 
 if TYPE_CHECKING:
     from daq_service.orders.running_test import Awaited, RunningTest, StoredTest
@@ -32,7 +33,12 @@ if TYPE_CHECKING:
 LARGEST_ID = 2**53 - 1
 LARGEST_HOUR = 1e7
 
-Author = Annotated[str, Field(min_length=1, max_length=80, description="Who gives the order")]
+SEEN = {"pattern": WRITTEN.pattern}
+Author = Annotated[
+    str,
+    Field(min_length=1, max_length=80, description="Who gives the order", json_schema_extra=SEEN),
+    AfterValidator(partial(require_written, message="name the person who gives the order")),
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +137,11 @@ class AnnotationArguments(Strict):
     position: str | None = Field(
         default=None, min_length=1, max_length=16, description="null: the whole test"
     )
-    text: str = Field(min_length=1, max_length=2000, pattern=r"\S")
+    text: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(partial(require_written, message="write the note")),
+    ]
 
     @model_validator(mode="after")
     def _forwards(self) -> Self:
@@ -152,23 +162,15 @@ class NoteArguments(Strict):
     note: str = Field(default="", max_length=2000)
 
 
-WRITTEN = re.compile(r"[^\s\x00-\x1f\x85]")
-"""Neither space nor control character, for Python and for JSON Schema alike."""
-
-
-def _says_why(note: str) -> str:
-    if not WRITTEN.search(note):
-        raise ValueError("say why, for whoever finds the test on hold, such as 'hands in the rig'")
-    return note
-
-
 class ReasonArguments(Strict):
     """Why; shown to everybody for as long as it lasts."""
 
     note: Annotated[
         str,
-        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": WRITTEN.pattern}),
-        AfterValidator(_says_why),
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(
+            partial(require_written, message="say why the test is paused, such as 'hands in the rig'")
+        ),
     ]
 
 

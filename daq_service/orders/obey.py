@@ -48,6 +48,8 @@ class OrderListener:
         Shortest time between two looks, on the machine's monotonic clock.
     left_s
         Tells the time that an order has left, in real time whatever clock the test runs on.
+    adopt
+        Takes over the alarm that another process may have raised or cleared.
     """
 
     def __init__(
@@ -58,12 +60,13 @@ class OrderListener:
         listen_every_s: float = LISTEN_EVERY_S,
         mono_ns: Callable[[], int] = time.monotonic_ns,
         left_s: Callable[[CommandRow], float] = left_now_s,
+        adopt: Callable[[], None] = lambda: None,
     ) -> None:
         self._catalogue = catalogue
         self._test = test
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
         self._mono_ns = mono_ns
-        self._left_s = left_s
+        self._left_s, self._adopt = left_s, adopt
         self._begun = False
         self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
@@ -98,10 +101,7 @@ class OrderListener:
         self._listened_ns = now_ns
         for row in self._catalogue.open_commands():
             # Once: an answer that the disk did not take must not switch a supply on a second time.
-            awaited = self._awaited.get(row.id)
-            answer = self._answers.get(row.id) or (
-                self._carried_out(row) if awaited is None else self._answered(row, awaited)
-            )
+            answer = self._answers.get(row.id) or self._carried_out(row)
             # What is stored says it, as after a restart.
             self._held = self._catalogue.held() or ""
             if answer is not None:
@@ -115,7 +115,12 @@ class OrderListener:
             log.warning("order %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
     def _carried_out(self, row: CommandRow) -> Answer | None:
-        """Carry an order out; its state and result, None where they are stored with what it did."""
+        """Carry an order out; its state and result, None where they are stored with what it did.
+
+        None also where an instrument has not answered yet.
+        """
+        if (awaited := self._awaited.get(row.id)) is not None:
+            return self._answered(row, awaited)
         if row.state == "pending" and self._left_s(row) > 0.0:
             try:
                 self._catalogue.start_command(row.id)
@@ -127,6 +132,7 @@ class OrderListener:
         if standing.state == "expired":
             return "expired", standing.result or ""
         told: list[Transaction] = []
+        self._adopt()
         try:
             order = read_order(row.kind, row.author, row.arguments)
             result = order.carry_out(replace(self._test, store=told.append), row.id, self._facts())

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from daq_service.alarms.states import (
     LONGEST_SHELF_H,
@@ -16,13 +17,16 @@ from daq_service.alarms.states import (
     take_out_of_service,
 )
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.orders.kinds import LARGEST_ID, AlarmArguments, DeskOrder, Facts, Refusal, Strict
+from daq_service.orders.kinds import LARGEST_ID, SEEN, AlarmArguments, DeskOrder, Facts, Refusal, Strict
+from daq_service.settings.foreign_text import require_written
 
 if TYPE_CHECKING:
     from daq_service.orders.running_test import StoredTest
 
 Reason = Annotated[
-    str, Field(min_length=1, max_length=500, pattern=r"\S", description="Why; shown to everybody")
+    str,
+    Field(min_length=1, max_length=500, json_schema_extra=SEEN, description="Why; shown to everybody"),
+    AfterValidator(partial(require_written, message="give the reason")),
 ]
 ShelfHours = Annotated[
     float, Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")

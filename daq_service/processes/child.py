@@ -12,21 +12,35 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType
 
+from daq_service.errors import EndedByLibraryError, SolimonError
+from daq_service.processes.printing import print_line
+from daq_service.settings.foreign_text import OneLineFormatter
+
 log = logging.getLogger(__name__)
 
+PROGRAM = (sys.executable, "-P", "-m", "daq_service.cli")
+"""``solimon`` without its script. -P: a file of the present folder replaces no module of Python's."""
 LOG_BYTES, LOG_FILES = 5_000_000, 5
 """Each child's log is rotated: at most 25 MB."""
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Give an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set."""
+    """Give an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set.
+
+    A signal that is ignored at the start stays ignored: `nohup` starts a program that outlives its terminal.
+
+    Raises
+    ------
+    EndedByLibraryError
+        A driver or a library raised what would end the process. Signals raise nothing in here.
+    """
     stop = threading.Event()
     # A signal may come while this very thread holds the event's lock, which it would wait for then; this
     # queue alone may be put into from within a handler.
@@ -44,14 +58,37 @@ def stop_on_signals() -> Iterator[threading.Event]:
     setter.start()
     names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = {number: signal.signal(number, on_signal) for number in numbers}
+    before = {number: signal.getsignal(number) for number in numbers}
+    before = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, on_signal)
     try:
         yield stop
+    except BaseException as ending:
+        # An EOFError would pass for the end of a person's input.
+        if isinstance(ending, Exception) and not isinstance(ending, EOFError):
+            raise
+        raise EndedByLibraryError(ending) from ending
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, handler or signal.SIG_DFL)  # None: of a library in C
         heard.put(None)
         setter.join()
+
+
+def announced(run: Callable[[], int], *, supervised: bool) -> int:
+    """Return the exit code of a child, which is announced to its supervisor first, also that of an error.
+
+    A code without announcement counts as a crash there: a library may end the process with any code.
+    """
+    announce = tell_supervisor if supervised else lambda event, **values: None
+    try:
+        code = run()
+    except SolimonError as error:
+        announce(ANNOUNCEMENT, code=error.exit_code)
+        raise
+    announce(ANNOUNCEMENT, code=code)
+    return code
 
 
 class LogFile(logging.handlers.RotatingFileHandler):
@@ -99,11 +136,12 @@ def log_to(path: Path) -> None:
     """Rotated log file, and a file of its own for crashes below Python; a log that cannot be is a warning."""
     handler = LogFile(path)
     handler.setFormatter(
-        logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
+        OneLineFormatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
     )
     root = logging.getLogger()
     root.addHandler(handler)
     root.setLevel(logging.INFO)
+    logging.captureWarnings(True)  # a terminal that is held would hold the line
     # Alembic and numba tell every step at this level.
     for talkative in ("alembic", "numba"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
@@ -112,9 +150,7 @@ def log_to(path: Path) -> None:
         path.touch()
         faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
     except OSError as error:
-        print(
-            f"solimon: no log in {path.parent}: {error.strerror}; the test goes on without", file=sys.stderr
-        )
+        print_line(f"solimon: no log in {path.parent}: {error.strerror}; the test goes on without")
 
 
 @contextmanager
@@ -133,6 +169,8 @@ def log_in_thread(path: Path, *, flush_within_s: float = 2.0) -> Iterator[None]:
             time.sleep(0.01)
 
 
+ANNOUNCEMENT = "ends"
+"""Event: the process ends now, with the exit code ``code``."""
 FAREWELL = b"."
 """What a supervisor sends before it closes a child's pipe: an end without it means that it was killed."""
 

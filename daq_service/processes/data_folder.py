@@ -107,6 +107,7 @@ OWN_NAMES = frozenset(
         "tiles",
         "tokens.json",
         "tokens.lock",
+        "web_heartbeat.json",
     }
 )
 LOCK_FILE = "recorder.lock"
@@ -225,7 +226,7 @@ def refuse_other_folders(folder: Path) -> None:
         raise UsageError(f"{folder} is no data folder of solimon (it holds {foreign!r}); {remedy}")
 
 
-def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[None]:
+def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
     """Hold the recorder's lock; `BusyError` if another one does, also after ``patience_s``."""
     text = f"process {os.getpid()}"
     return hold_lock(folder, LOCK_FILE, text, who="recorder", patience_s=patience_s)
@@ -240,8 +241,8 @@ def hold_lock(
     who: str,
     mode: int | None = None,
     patience_s: float = PATIENCE_S,
-) -> Iterator[None]:
-    """Hold a lock of the folder, with a text for whoever reads it meanwhile.
+) -> Iterator[IO[bytes]]:
+    """Hold a lock of the folder, with a text for whoever reads it meanwhile; gives its open file.
 
     Parameters
     ----------
@@ -289,7 +290,7 @@ def hold_lock(
             file.truncate(0)
             file.write(b"\0" * _OWNER_OFFSET + text.encode())
             file.flush()
-        yield
+        yield file
 
 
 @contextmanager

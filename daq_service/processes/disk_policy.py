@@ -105,10 +105,10 @@ class Outlook:
 def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage = disk_usage) -> Outlook:
     """Compare what is free with what the rest of the test needs."""
     storage = settings.storage
-    space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_file()
+    space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_recorded()
     found = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
-    path = folder / (newest or "")
-    if newest is None or not path.is_file():  # it is in the journal still
+    path = folder / ((newest and newest.file) or "")
+    if not path.is_file():  # it is in the journal still
         return found
     counts = catalogue.counts()
     done = counts["sets"] + counts["missed_sets"]

@@ -1,5 +1,7 @@
 """The recorder's sign of life, advanced by the recording line itself and read by whoever looks after it.
 
+The web service has one, too, advanced by its event loop.
+
 One small file of a fixed size, written over in place at most twice a second and where something else begins:
 a full disk takes it, no rename meets a reader, and a look that falls into a write fails its checksum. It is a
 hint; the supervisor hears the same on its pipe. Its age is measured on the machine's monotonic clock, so a
@@ -26,7 +28,13 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
-FILE_NAME = "heartbeat.json"
+FILE_NAME, WEB_FILE = "heartbeat.json", "web_heartbeat.json"
+"""Of the recorder, and of a web service that serves the test."""
+WEB_BEATS_EVERY_S, WEB_DEADLINE_S = 1.0, 15.0
+"""Garbage and replays hold its event loop up for a fraction of a second."""
+WEB_STARTS_WITHIN_S, WEB_ANSWERS_WITHIN_S = 60.0, 3.0
+"""One that was there when the computer, or the recorder, went down comes back within this time; a computer
+that was asleep wakes up all its processes within the other."""
 FILE_BYTES = 4096
 LONGEST_DOING = 500
 """Characters, which take six bytes each at most."""
@@ -41,6 +49,7 @@ a simulated test of many stages a second beats take a hundredth of the time."""
 
 Stage = Literal["", "opening", "ended"]
 """Of a recorder: at work, opening its rig (it hears no orders yet), or past its farewell, be it lingering."""
+WebState = Literal["responding", "not_responding", "not_expected"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,9 +104,10 @@ class Heartbeat:
         mono_ns: Callable[[], int] = time.monotonic_ns,
         boot: Callable[[], str | None] = boot_name,
         time_line: Callable[[], TimeLine | None] = lambda: None,
+        file: str = FILE_NAME,
     ) -> None:
         self.stage: Stage = ""
-        self._path = folder / FILE_NAME
+        self._path = folder / file
         self._deadline_s = deadline_s
         self._tell = tell
         self._mono_ns = mono_ns
@@ -156,9 +166,9 @@ def _write_over(path: Path, content: bytes) -> None:
         os.close(descriptor)
 
 
-def read_heartbeat(folder: Path) -> Beat | None:
+def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
     """Latest beat; None where there is none, or where the file is no heartbeat (with a warning)."""
-    path = folder / FILE_NAME
+    path = folder / file
     why = ""
     for _ in range(LOOKS):
         content = read_hint(path)
@@ -218,6 +228,48 @@ def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
     """
     other_boot = None not in (beat.boot, boot) and beat.boot != boot
     return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S
+
+
+def web_beat() -> Beat:
+    """Return a beat of the web service that runs in this process, for its supervisor."""
+    now_ns = time.monotonic_ns()
+    return Beat(process=os.getpid(), mono_ns=now_ns, deadline_s=WEB_DEADLINE_S, doing="serving")
+
+
+def web_state(folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -> WebState:
+    """Return whether a web service serves this folder, has stopped doing so without notice, or is not due."""
+    beat = read_heartbeat(folder, WEB_FILE)
+    if beat is None or beat.stage == "ended":
+        return "not_expected"
+    age = age_s(beat, boot=boot_name(), mono_ns=mono_ns())
+    return "responding" if age is not None and age <= beat.deadline_s else "not_responding"
+
+
+class WebWatch:
+    """Confirms that the web service of a folder does not respond, or that it does.
+
+    Parameters
+    ----------
+    mono_ns
+        Monotonic time of this machine, ns.
+    """
+
+    def __init__(self, folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._folder, self._mono_ns = folder, mono_ns
+        self._next_ns = mono_ns()
+        self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
+
+    def is_missing(self) -> bool | None:
+        """Look at most once a second; None: not looked, or not confirmed yet."""
+        now_ns = self._mono_ns()
+        if now_ns < self._next_ns:
+            return None
+        self._next_ns = now_ns + NS_PER_S
+        if web_state(self._folder, mono_ns=self._mono_ns) != "not_responding":
+            self._until_ns = None
+            return False
+        self._until_ns = self._until_ns or now_ns + WEB_ANSWERS_WITHIN_S * NS_PER_S
+        return True if now_ns >= self._until_ns else None
 
 
 def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:

@@ -22,6 +22,8 @@ def notify(*assignments: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or sys.platform == "win32":
         return
+    if os.environ.get("SYSTEMD_EXEC_PID", str(os.getpid())) != str(os.getpid()):
+        return  # inherited: the service is another program's
     # A leading @ stands for the zero byte of an abstract socket.
     name = f"\0{address[1:]}" if address.startswith("@") else address
     try:

@@ -3,11 +3,12 @@
 Children share nothing but the data folder. Each holds the reading end of a pipe (its standard
 input) whose other end the supervisor keeps open: when the supervisor ends, however it ends, the
 pipe closes and the children leave safely. A recorder whose heartbeat is overdue is killed and
-started again; so is a child that crashed. A child that ends with an exit code of the table
-(2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on; where
-others stay, a recorder whose test has begun leaves them, and its code is passed on when they are stopped. A
-web service that has listened once is started again whatever it said: it ends no test. A recorder that its
-operator told to stop (130) stays stopped.
+started again; so is a child that crashed. A driver or a vendor's library may end the process with any exit
+code, so a code counts only if the child announced it on its pipe before it ended (`child.announced`). A child
+that announces a code of the table (2 usage, 3 rig, 4 storage, 5 busy) names what is wrong: everything stops
+and the code is passed on; where others stay, a recorder whose test has begun leaves them, and its code is
+passed on when they are stopped. A web service that has listened once is started again whatever it announces:
+it ends no test. A recorder that its operator stopped (130) stays stopped.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import logging
 import os
 import queue
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -28,8 +28,8 @@ from typing import Any
 
 from daq_service.clock import boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
-from daq_service.processes.child import FAREWELL
-from daq_service.processes.heartbeat import Beat, age_s, beat_of, read_heartbeat
+from daq_service.processes.child import ANNOUNCEMENT, FAREWELL, PROGRAM
+from daq_service.processes.heartbeat import WEB_FILE, Beat, age_s, beat_of, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -43,16 +43,20 @@ STARTING_GRACE_S = 60.0
 LEAVE_WITHIN_S = 4.0
 """Children that are told to leave get this long; the whole must end within 5 s."""
 LOOK_EVERY_S = 0.05
+ANNOUNCED_WITHIN_S = 1.0
+"""The last line of a child that has ended is read within this time, also where its workers hold the pipe."""
 
 Message = Mapping[str, Any]
 Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"]
 
 
 def start_process(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """Start a program with pipes for its input and output, and variables added to our own."""
-    return subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **environment}
-    )
+    """Start a program with pipes for its streams, and variables added to our own.
+
+    What a driver prints must not wait for our terminal, which a person may hold.
+    """
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env={**os.environ, **environment})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +68,7 @@ class ChildPlan:
     arguments
         Command line after ``solimon``; ``{cause}`` in it becomes why the child is started again.
     watched
-        True: its heartbeat is watched.
+        True: the recorder, whose heartbeat is watched from its start on; of others, from their first beat on.
     environment
         Variables added to this process's own.
     """
@@ -91,6 +95,9 @@ class _Child:
     """It has told of a set, or where it listens."""
     finished: bool = False
     exit_code: int = EXIT_OK
+    announced: int | None = None
+    """Exit code that the present process announced."""
+    reader: threading.Thread | None = None
     extra: list[str] = field(default_factory=list)
 
 
@@ -101,8 +108,9 @@ class Supervisor:
     ----------
     on_message
         Called with ``(child name, message)`` for each JSON line a child prints, of its beats only for those
-        that tell of something else, and for ``restarts`` of it (``cause``, ``in_s``). It may wait for a
-        person (a console in which text is selected): children are not kept waiting by that.
+        that tell of something else, for ``restarts`` of it (``cause``, ``in_s``), and for what it ``printed``
+        on standard error (``text``). It may wait for a person (a console in which text is selected): children
+        are not kept waiting by that.
     give_up
         True: end when a child has used up all restart delays, instead of trying for ever.
     program
@@ -124,7 +132,7 @@ class Supervisor:
         *,
         on_message: Callable[[str, Message], None],
         give_up: bool = False,
-        program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
+        program: Sequence[str] = PROGRAM,
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
         leave_within_s: float = LEAVE_WITHIN_S,
         without_recorder: Callable[[], None] = lambda: None,
@@ -185,12 +193,17 @@ class Supervisor:
             return None
         code = child.process.poll()
         if code is None:
-            if child.plan.watched and (cause := self._overdue(child)):
+            if (child.plan.watched or child.told) and (cause := self._overdue(child)):
                 child.cause = cause
                 child.process.kill()
             return None
+        assert child.reader is not None, "it was started with the process"
+        child.reader.join(ANNOUNCED_WITHIN_S)
         self._close_pipe(child)
         child.process = None
+        if child.announced is None:
+            return self._plan_restart(child, code)
+        code = child.announced
         if code in (EXIT_OK, EXIT_INTERRUPTED) and child.plan.watched:
             # Done, or stopped by its operator: to start it again would strike on against the order.
             child.finished = True
@@ -219,6 +232,8 @@ class Supervisor:
         child.quick_failures += 1
         child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
         child.cause = child.cause or _how_it_ended(code)
+        if child.announced is None and code in (EXIT_OK, EXIT_INTERRUPTED, *FINAL_CODES):
+            child.cause += ", which it had not announced"
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
         self._unheard.put((child.plan.name, {"event": "restarts", "cause": child.cause, "in_s": delay_s}))
         return None
@@ -226,17 +241,23 @@ class Supervisor:
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.started_ns, child.told, child.beat, child.cause = self._mono_ns(), None, None, ""
+        child.announced = None
         child.process = self._start_process(
             [*self._program, *arguments, *child.extra], child.plan.environment
         )
-        reader = threading.Thread(
-            target=self._read_messages,
-            args=(child, child.process),
-            name=f"{child.plan.name}-messages",
-            daemon=True,
-        )
-        reader.start()
-        self._readers.append(reader)
+        for read in (self._read_errors, self._read_messages):
+            child.reader = threading.Thread(
+                target=read, args=(child, child.process), name=f"{child.plan.name}-pipe", daemon=True
+            )
+            child.reader.start()
+            self._readers.append(child.reader)
+
+    def _read_errors(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        assert process.stderr is not None
+        with process.stderr as lines:
+            for line in lines:
+                text = line.decode(errors="replace").rstrip()
+                self._unheard.put((child.plan.name, {"event": "printed", "text": text}))
 
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
@@ -249,18 +270,22 @@ class Supervisor:
                         before, child.told = child.told, beat_of(message)
                         if before is not None and before.doing == child.told.doing:
                             continue
-                except (ValueError, TypeError, LookupError, OverflowError):
+                    if event == ANNOUNCEMENT:
+                        if child.process is process:
+                            child.announced = int(message["code"])
+                        continue
+                    if event == "listening" and not child.extra:
+                        # A restarted web service must answer where the browsers already are.
+                        child.extra = ["--port", str(message["port"])]
+                except (ValueError, TypeError, LookupError, AttributeError, OverflowError):
                     log.warning("%s printed a line that is no message: %r", child.plan.name, line[:200])
                     continue
-                if event == "listening" and not child.extra:
-                    # A restarted web service must answer where the browsers already are.
-                    child.extra = ["--port", str(message["port"])]
                 child.begun = child.begun or event in ("progress", "listening")
                 self._unheard.put((child.plan.name, message))
 
     def _overdue(self, child: _Child) -> str:
         """Why a child that runs must be killed; empty while its heartbeat is in time."""
-        heard = (child.told, self._read_beat(self._folder))
+        heard = (child.told, self._beat_in_file(child))
         now_ns = self._mono_ns()
         # A folder has one recorder: what it wrote since the start is this child's. Process numbers come
         # again, and a launcher (Windows, virtual environments) has another one than its Python. A file that
@@ -282,6 +307,13 @@ class Supervisor:
             f"hung while {child.beat.doing}: heartbeat {late_s:.1f} s past its deadline of "
             f"{child.beat.deadline_s:g} s"
         )
+
+    def _beat_in_file(self, child: _Child) -> Beat | None:
+        if child.plan.watched:
+            return self._read_beat(self._folder)
+        # A supervisor that was stopped itself reads its pipe late. Others may serve the folder.
+        found = read_heartbeat(self._folder, WEB_FILE)
+        return found if found and child.told and found.process == child.told.process else None
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:

@@ -42,6 +42,11 @@ class Compaction:
     also
         Gives what the worker shall do with a set, of which this was computed, while it has its records at
         hand; that says what kept it from it, once in the log.
+
+    Attributes
+    ----------
+    damaged
+        Sets that get no file, because they are damaged in the journal.
     """
 
     def __init__(
@@ -61,7 +66,8 @@ class Compaction:
         self._executor: Executor | None = None
         self._running: dict[int, Future[tuple[SetReference, str, str]]] = {}
         self._again_s: dict[int, float] = {}
-        self._refusal = self._damage = self._told = ""
+        self._refusal = self._told = ""
+        self.damaged: dict[str, str] = {}
 
     def put(self, set_index: int) -> None:
         """Have a file made of a whole set of the journal."""
@@ -116,7 +122,7 @@ class Compaction:
         except CorruptArchiveError as error:
             # No waiting mends that: the next start looks again.
             log.error("set %d gets no file and stays in the journal: %s", set_index, error)
-            self._damage = f"{error}"
+            self.damaged[f"set {set_index} in the journal"] = f"{error}"
             return
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             if isinstance(error, BrokenExecutor):
@@ -134,7 +140,7 @@ class Compaction:
     @property
     def trouble(self) -> str:
         """Why a set has no file although one was tried; empty: there is no such set."""
-        return self._refusal or self._damage
+        return self._refusal
 
     @property
     def n_under_way(self) -> int:

@@ -11,6 +11,7 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, followed
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import (
     ALARMS_OF_CHANGE,
@@ -94,6 +95,11 @@ class Ledger:
                 settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
             )
 
+    def adopt(self) -> None:
+        """Take over the alarm that another process raises while no recorder stores sets."""
+        rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
+        self.alarms |= {(row.position, row.kind): row for row in rows}
+
     def passed(self, row: SetRow) -> Sequence[Condition]:
         """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
         assessment = self._assessor(row.position).nothing_taken(
@@ -146,6 +152,7 @@ class Ledger:
         file, sha256
             Where the record lies, and the SHA-256 of the file if it is made.
         """
+        self.adopt()
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
@@ -187,6 +194,7 @@ class Ledger:
                 self._carry_alarm(rig_now, moment, transaction)
             return transaction
         self._carry_alarm(rig_now, moment, transaction)
+        self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, because in suspicions.items():

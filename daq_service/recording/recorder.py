@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 
 from analysis.waves.features import ShotFeatures
@@ -29,7 +29,7 @@ from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AnnotationRow
+from daq_service.catalogue.rows import AnnotationRow, SetRow
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
@@ -123,7 +123,8 @@ class Recorder:
             if index not in done and index not in self._open
         }
         for opened in self._open.values():
-            refuse_foreign_open_set(opened, self._plan, archive.name)
+            if opened.is_dated:
+                refuse_foreign_open_set(opened, self._plan, archive.name)
         self._cost, self._machine = Cost(), helpers.machine
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
         self._kept = Safekeeping(
@@ -138,14 +139,23 @@ class Recorder:
             look_every_s=look_every_s,
             mono_s=mono_s,
         )
+        damage = archive.journal_damage
+        where = f"its part of the journal was damaged: {', '.join(damage.files)}"
+        self._damaged = dict.fromkeys(damage.sets, where)
+        self._open = {
+            index: opened if opened.is_dated else self._dated(opened) for index, opened in self._open.items()
+        }
         for index in done & self._open.keys():
-            if not self._open.pop(index).records:
+            opened = self._open.pop(index)
+            if not opened.records:
                 archive.settle(index)
+            elif index in damage.sets:
+                self._kept.do(partial(self._end_again, opened))
             else:
                 self._kept.file(index)  # a frame of it is damaged: that is told, and the others stay
-        sequences = [item.sequence for opened in self._open.values() for item in opened.records]
-        self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
-        self._damaged: dict[int, str] = {}
+        sequences = [item.sequence + 1 for opened in self._open.values() for item in opened.records]
+        known = [catalogue.next_sequence(), damage.next_sequence, *sequences]
+        self._next_sequence = max(known) + damage.n_lost
         self._next_set = 0
         drive = self._ledger.drive
         test = RunningTest(
@@ -164,7 +174,8 @@ class Recorder:
             positions=settings.names_of(SOLITARY_WAVE),
             supply=drive if drive is not None and drive.has_supply else None,
         )
-        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
+        adopt = self._ledger.adopt
+        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
         rig.asking.listen(self._asked)
 
     def run(self, *, not_running_because: str, opening: Opening | None = None) -> bool:
@@ -317,7 +328,7 @@ class Recorder:
             return retired
         now_ns = self._rig.clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
-            return OVERSLEPT
+            return self._kept.hindered(due.due_utc_ns) or OVERSLEPT
         beside = self._ledger.confirmations
         return no_room(beside.room_ns(planned, now_ns), beside.set_ns)
 
@@ -380,16 +391,45 @@ class Recorder:
         log.warning("set %d goes on: %d records of it are there", opened.set_index, len(opened.records))
         return taken
 
+    def _dated(self, opened: OpenSet) -> OpenSet:
+        """Give a set whose first frame is damaged what its rows or the schedule say of it."""
+        index = opened.set_index
+        rows = self._catalogue.rows(SetRow, first_set=index, last_set=index, purpose="any")
+        known = [row.due_utc_ns for row in rows] + [due.due_utc_ns for due in self._plan[index : index + 1]]
+        struck = {item.key.position for item in (*opened.records, *opened.missed)}
+        planned = purpose_of(index) == "planned"
+        left_out = (
+            self._ledger.retired() if planned else dict.fromkeys(self._settings.positions, "not asked for")
+        )
+        return replace(
+            opened,
+            due_utc_ns=known[0] if known else opened.due_utc_ns,
+            retired={name: why for name, why in left_out.items() if name not in struck},
+        )
+
+    def _end_again(self, opened: OpenSet) -> None:
+        """Let what is sound of a stored set get its file, though its end or records of it are damaged."""
+        file = self._archive.sets().get(opened.set_index)
+        if file is not None:
+            record = self._archive.read_set(file, skip_damaged=True)
+        else:
+            due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
+            due = DueSet(set_index=opened.set_index, due_h=due_h, due_utc_ns=opened.due_utc_ns)
+            record = self._record_of(due, self._restored(opened), self._damaged[opened.set_index])
+        self._archive.resume_set(opened)
+        self._archive.store_set(record)
+        self._kept.file(opened.set_index)
+
     def _restrike_rule(self) -> RestrikeRule:
         quality = self._settings.quality
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
         return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
 
     def _stays_open(self, taken: TakenSet) -> bool:
-        """Leave a set that a stop cut short to the next recorder, where the journal keeps it."""
+        """Leave a set that a stop cut short to the next recorder, whose shots the journal keeps."""
         planned = {name: self._ledger.n_planned(name) for name in self._settings.positions}
         cut = self._stop.is_set() and not self._orders.held and taken.trouble is None
-        if not (cut and self._archive.keeps_open_sets) or taken.is_complete(planned):
+        if not cut or taken.is_complete(planned):
             return False
         return self._kept.acknowledge()
 
@@ -445,7 +485,28 @@ class Recorder:
     def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_because: str = "") -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
         self._begin(f"storing {_named(due)}")
-        record = SetRecord(
+        record = self._record_of(due, taken, self._damaged.get(due.set_index, cut_short_because))
+        self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
+        # Now, and not when the disk takes the set.
+        machine = None if self._machine is None else self._machine.read(self._cost)
+
+        def judged() -> Transaction:
+            stored = self._kept.store(record)
+            self._cost.sets += 1
+            for stage, seconds in asdict(stored.timings).items():
+                self._cost.seconds[stage] += seconds
+            self._doing = f"judging {_named(due)}"
+            transaction = self._ledger.judged(due, record, stored.file, taken.features)
+            if machine is not None and due.position is None:
+                moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+                transaction.tell(MACHINE_READ, machine, moment, topic="machine")
+            return transaction
+
+        n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
+        self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
+
+    def _record_of(self, due: DueSet, taken: TakenSet, cut_short_because: str) -> SetRecord:
+        return SetRecord(
             set_index=due.set_index,
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
@@ -461,24 +522,6 @@ class Recorder:
             environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
             provenance=self._provenance,
         )
-        self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
-        # Now, and not when the disk takes the set.
-        machine = None if self._machine is None else self._machine.read(self._cost)
-
-        def judged() -> Transaction:
-            stored = self._kept.store(record)
-            self._cost.sets += 1
-            for stage, seconds in asdict(stored.timings).items():
-                self._cost.seconds[stage] += seconds
-            self._doing = f"judging {_named(due)}"
-            transaction = self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
-            if machine is not None and due.position is None:
-                moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
-                transaction.tell(MACHINE_READ, machine, moment, topic="machine")
-            return transaction
-
-        n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
-        self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
@@ -577,19 +620,20 @@ class Recorder:
         over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
         if self._rig.clock.utc_ns() < over_ns:
             return False
-        cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), OVERSLEPT)
-        self._gap(due, cause)
+        cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), "")
+        self._gap(due, cause or self._kept.hindered(due.due_utc_ns) or OVERSLEPT)
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:
         """Take no strike of a set: store what an open one holds, else write gap rows."""
+        cause = self._damaged.get(due.set_index, cause)
         opened = self._open.pop(due.set_index, None)
         if opened is not None and opened.records:
             self._archive.resume_set(opened)
             self._store_and_judge(due, self._restored(opened), cut_short_because=cause)
             return
         self._archive.settle(due.set_index)
-        causes = dict.fromkeys(self._places(due), self._damaged.get(due.set_index, cause))
+        causes = dict.fromkeys(self._places(due), cause)
         utc_ns = self._rig.clock.utc_ns()
         self._kept.post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
 
@@ -678,6 +722,7 @@ class Recorder:
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._tell_clock_steps()
+        self._kept.look_at_the_web()
         self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._kept.trouble is None:

@@ -12,12 +12,14 @@ from functools import partial
 from typing import Any
 
 from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
-from daq_service.alarms.states import Moment
+from daq_service.alarms.process_trouble import web_condition
+from daq_service.alarms.states import Condition, Moment
 from daq_service.archive import Archive, SetRecord, StoredSet
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.judgement.transaction import Transaction
 from daq_service.processes.disk_policy import DiskWatch
+from daq_service.processes.heartbeat import WebWatch
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
@@ -59,6 +61,8 @@ class Helpers:
         Watches the volume.
     machine
         Reads with each set what the test costs its computer.
+    web
+        Watches the web service of the folder.
     acknowledged
         Called with the id of each shot (`Shot.sequence`) once it is durable.
     """
@@ -69,6 +73,7 @@ class Helpers:
     history: HistoryFollower | None = None
     disk: DiskWatch | None = None
     machine: MachineWatch | None = None
+    web: WebWatch | None = None
     acknowledged: Callable[[int], None] = lambda shot_id: None
 
 
@@ -107,9 +112,12 @@ class Safekeeping:
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
         self._stop, self._moment, self._mono_s = stop, moment, mono_s
         self._on_trouble, self._look_every_s = on_trouble, look_every_s
+        self._web = helpers.web
+        self._web_is_missing: bool | None = None
         self._told_ids: set[int] = set()
         self._told_damaged: dict[str, str] = {}
         self._told_trouble = self._told_compaction = ""
+        self._trouble_until_ns = -1
         self._backlog = Backlog(
             limit_bytes=limit_bytes, on_change=self._tell_trouble, refusal=self._refusal, mono_s=mono_s
         )
@@ -130,6 +138,11 @@ class Safekeeping:
         if self.trouble is None:
             return ""
         return f"{len(self._backlog)} jobs wait in memory for the disk: {self.trouble.message}"
+
+    def hindered(self, since_utc_ns: int) -> str:
+        """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
+        is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
+        return "" if is_over else f"the recorder waited for the disk: {self._told_trouble}"
 
     # Shots and sets -------------------------------------------------------------------------------
 
@@ -180,7 +193,7 @@ class Safekeeping:
             if not built:
                 built.append(build())
             self._ledger.commit(built[0])
-            if stored is not None and self._archive.keeps_open_sets:
+            if stored is not None:
                 self.file(stored)
 
         self._backlog.put(job, n_bytes=n_bytes)
@@ -221,6 +234,7 @@ class Safekeeping:
             self._history.follow()
         if self._idle_check is not None and self.trouble is None:
             self._idle_check.work(free_s)
+        if self.trouble is None:
             self._tell_damage()
         if self._tiling is not None:
             self._tiling.work(free_s)
@@ -280,20 +294,40 @@ class Safekeeping:
         condition = space_condition(
             space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
-        with suppress(*PASSING):  # the event follows when the disk takes it
-            self._ledger.tell(condition, self._moment())
+        self._tell_surely(condition)
+
+    def _tell_surely(self, condition: Condition) -> None:
+        """Store an alarm now, or as soon as the catalogue takes it."""
+        job = partial(self._ledger.tell, condition, self._moment())
+        try:
+            job()
+        except PASSING as error:
+            log.warning("the alarm is stored later: %s", error)
+            self._backlog.put(job)
+
+    def look_at_the_web(self) -> None:
+        """Raise the alarm of a web service that is missing, and clear it when it responds."""
+        is_missing = None if self._web is None else self._web.is_missing()
+        if is_missing in (None, self._web_is_missing):
+            return
+        moment = self._moment()
+        with suppress(*PASSING):  # the next look stores it
+            self._ledger.tell(web_condition(moment.due_h, present=is_missing), moment)
+            self._web_is_missing = is_missing
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
+        self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
             self._told_trouble = trouble.message
-        condition = storage_condition(self._told_trouble, present=trouble is not None)
-        try:
-            if trouble is None:  # on record even if the catalogue itself was what took nothing
-                self._ledger.tell(storage_condition(self._told_trouble, present=True), self._moment())
-            self._ledger.tell(condition, self._moment())
-        except PASSING as error:
-            log.warning("the alarm is not stored: %s", error)
+            try:
+                self._ledger.tell(storage_condition(trouble.message, present=True), self._moment())
+            except PASSING as error:
+                log.warning("the alarm is not stored: %s", error)
+        else:  # on record even if the catalogue itself was what took nothing
+            self._tell_surely(storage_condition(self._told_trouble, present=True))
+            self._tell_surely(storage_condition(self._told_trouble, present=False))
+            self._told_compaction = ""  # what still has no file is reported again
         self._on_trouble()
 
     def _tell_compaction(self, trouble: str) -> None:
@@ -302,19 +336,20 @@ class Safekeeping:
             return
         message = trouble or self._told_compaction
         self._told_compaction = trouble
-        condition = storage_condition(message, present=bool(trouble), waits_in="journal")
-        with suppress(*PASSING):  # it is in the log; the disk's own trouble follows with the next set
-            self._ledger.tell(condition, self._moment())
+        self._tell_surely(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _tell_damage(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
-        damaged = {} if self._idle_check is None else self._idle_check.damaged
+        damaged = dict(self._archive.journal_damage.files)
+        for helper in (self._compaction, self._idle_check):
+            damaged |= {} if helper is None else helper.damaged
         if damaged == self._told_damaged and not at_the_start:
             return
         new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
-        self._told_damaged = dict(damaged)
+        self._told_damaged = damaged
         for file, told in new.items():
             log.error("%s: %s", file, told)
             self.say("data_damaged", {"file": file, "told": told})
-        condition = damage_condition(self._archive.quarantined(), damaged)
+        aside = [file for file in self._archive.quarantined() if file not in damaged]
+        condition = damage_condition(aside, damaged)
         self._backlog.put(partial(self._ledger.tell, condition, self._moment()))

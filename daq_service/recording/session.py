@@ -28,7 +28,7 @@ from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
-from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
+from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, TELLING
@@ -126,7 +126,7 @@ def record(
             catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
         history = HistoryFollower(folder, catalogue)
         history.begin()
-        archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
+        archive = stack.enter_context(closing(FolderArchive(folder)))
 
         def filed(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)
@@ -221,6 +221,7 @@ def record(
                 history=history,
                 disk=disk,
                 machine=machine,
+                web=WebWatch(folder),
                 acknowledged=acknowledged,
             ),
             listen_every_s=listen_every_s,

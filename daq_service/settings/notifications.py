@@ -16,6 +16,8 @@ from daq_service.settings.web import LOOPBACK
 
 Severity = Literal["low", "medium", "high", "critical"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
+SHORTEST_FOR_PEOPLE_S = 3600.0
+"""Between two heartbeat messages by e-mail or chat."""
 MOST_RECEIVERS = 16
 """Each has a thread of its own."""
 _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -66,8 +68,8 @@ class ReceiverSettings(_Table):
     plain_http: bool = False
     """Allows http:// to another computer: what is told travels unencrypted."""
     heartbeat_s: float | None = Field(default=None, ge=10.0, le=86_400.0)
-    """Webhook only: a sign of life so often, with the recorder's state and the age of the last set. None is
-    sent while no recorder answers: a receiver that misses it must raise the alarm."""
+    """Interval of heartbeat messages with the recorder's state and the age of the last set; absent: none. For
+    e-mail and chat at least 3600 s. None is sent while no recorder answers: whoever misses it must act."""
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
@@ -77,9 +79,12 @@ class ReceiverSettings(_Table):
         self._exactly_one(places)
         if self.kind == "webhook":
             self._exactly_one(["secret_file", "secret_env"])
-        elif self.secret_file or self.secret_env or self.plain_http or self.heartbeat_s is not None:
+        elif self.secret_file or self.secret_env or self.plain_http:
+            raise ValueError("secret_file, secret_env, plain_http are a webhook's; take them out for apprise")
+        elif self.heartbeat_s is not None and self.heartbeat_s < SHORTEST_FOR_PEOPLE_S:
             raise ValueError(
-                "secret_file, secret_env, plain_http, heartbeat_s are a webhook's; take them out for apprise"
+                f"heartbeat_s = {self.heartbeat_s:g} is below {SHORTEST_FOR_PEOPLE_S:g}, the minimum for "
+                f"e-mail and chat. Give {SHORTEST_FOR_PEOPLE_S:g} or more."
             )
         if self.url and (refusal := refused_address(self.url, plain_http=self.plain_http)):
             raise ValueError(f"url: {refusal}")

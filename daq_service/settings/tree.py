@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 from collections.abc import Mapping
 from typing import Any, Literal, Self
 
@@ -23,13 +24,15 @@ from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.web import WebSettings
 from hardware_drivers.daqmx import parameters as daqmx
-from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS
+from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 from hardware_drivers.niscope import parameters as niscope
 from hardware_drivers.serial_port import parameters as serial_port
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+log = logging.getLogger(__name__)
 
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
@@ -50,7 +53,7 @@ HASHED_OUT: Mapping[str, Any] = {
         "supply": set(serial_port.SUPPLY_REACHED_BY),
         "climate": set(serial_port.CLIMATE_REACHED_BY),
         "drive": set(WATCH_KEYS | {"order_timeout_s", "readback_tolerance_v", "readback_tolerance_a"}),
-        "air": set(LOG_KEYS),
+        "air": set(CLIMATE_KEYS),
     },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
@@ -276,9 +279,15 @@ class StorageSettings(Section):
     """Free part below which nothing more is stored; the test goes on by itself when space is freed."""
     volume_gb: float = Field(default=1000.0, gt=0.0, le=1e9)
     """Of a larger volume the parts are those of one of this size: 5 % of 10 TB would be far too much."""
-    journal: bool = True
-    """Each shot is durable at once (on a simulated clock each set), and a set that is cut short goes on after
-    a restart; false: whole sets only."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _journal_is_always_used(cls, values: Any) -> Any:
+        if not (isinstance(values, dict) and "journal" in values):
+            return values
+        if values["journal"] is not True:
+            log.warning("storage.journal is ignored: every shot goes to the journal. Remove the key.")
+        return {name: value for name, value in values.items() if name != "journal"}
 
     @model_validator(mode="after")
     def _limits_follow_each_other(self) -> Self:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import threading
-from asyncio import to_thread
+from asyncio import Event, create_task, to_thread, wait_for
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,48 +16,22 @@ from starlette.requests import HTTPConnection
 from daq_service.alarms.proof import proof_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.picture import WaterfallReader
+from daq_service.catalogue.access import CatalogueAccess
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, values
-from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
+from daq_service.catalogue.store import Catalogue, NoDataYetError
 from daq_service.errors import StorageError
 from daq_service.orders.audit import Audit
 from daq_service.processes import freshness
+from daq_service.processes.data_folder import BACKUP_FILE
+from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, WEB_FILE, Heartbeat
 from daq_service.processes.lost_catalogue import lost_because
+from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, catalogue_lost, no_data_yet, not_found
 from daq_service.web.doors.entry import Doors
-from daq_service.web.notifications.service import Notifications
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
-
-
-class CatalogueAccess:
-    """Opens the catalogue when it is first there; requests of every thread share it."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._lock = threading.Lock()
-        self._catalogue: Catalogue | None = None
-
-    def get(self) -> Catalogue:
-        """Return the open catalogue.
-
-        Raises
-        ------
-        NoDataYetError
-            Before the first record.
-        """
-        with self._lock:
-            if self._catalogue is None:
-                self._catalogue = open_catalogue(self._folder)
-            return self._catalogue
-
-    def close(self) -> None:
-        """Close it; the next `get` opens again."""
-        with self._lock:
-            if self._catalogue is not None:
-                self._catalogue.close()
-                self._catalogue = None
 
 
 class CatalogueEvents:
@@ -135,14 +108,30 @@ class Context:
         await self.hub.start()
         await self.live.start()
         self.notifications.start()
+        leaving = Event()
+        beating = create_task(self._beat(leaving))
         try:
             yield
         finally:
+            leaving.set()
             self.close_streams()
+            await beating
             await self.hub.join()
             await self.live.join()
             await to_thread(self.notifications.join)
             self.catalogue_access.close()
+
+    async def _beat(self, leaving: Event) -> None:
+        """Advance the heartbeat by the event loop itself, and end it where the service ends in order."""
+        if await to_thread((self.data_folder / BACKUP_FILE).exists):
+            return
+        heartbeat = Heartbeat(self.data_folder, deadline_s=WEB_DEADLINE_S, file=WEB_FILE)
+        while not leaving.is_set():
+            await to_thread(heartbeat.beat, "serving")
+            with suppress(TimeoutError):
+                await wait_for(leaving.wait(), WEB_BEATS_EVERY_S)
+        heartbeat.stage = "ended"
+        await to_thread(heartbeat.beat, "leaving", at_once=True)
 
     def catalogue(self) -> Catalogue:
         """Open catalogue, or the problem "no data yet" before the first set, or that it is lost."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -151,9 +150,8 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
             "Clear the cookies of this address.",
         )
-    host = headers.get("host", "")
-    hostname = _hostname(host)
-    if hostname not in names:
+    host = _all_of(headers, "host")
+    if _hostname(f"//{host}") not in names:
         return Problem(
             400,
             "foreign-host",
@@ -162,33 +160,39 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             "Open the address that the service printed, or name this one in web.host_names.",
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
-    if (streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers):
+    origin = _all_of(headers, "origin")
+    is_foreign = "cross-site" in _all_of(headers, "sec-fetch-site") and _hostname(origin) not in names
+    reads_across = "/api/" in scope["path"] and is_foreign
+    if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers)):
         return Problem(
             403,
             "foreign-origin",
             "Request from another origin",
-            f"Origin is {headers.get('origin')!r}, but the request went to {host!r}.",
-            "Only the service's own dashboard and programs without a browser may write or follow a stream.",
+            f"Origin is {origin!r}, but the request went to {host!r}.",
+            "Only the service's own dashboard and programs without a browser may ask; name another host "
+            "that serves pages of this service in web.host_names.",
         )
     size = headers.get("content-length", "0")
-    if scope["type"] == "http" and (not size.isdigit() or int(size) > LARGEST_BODY_BYTES):
+    if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
         return _too_large(size)
     return None
 
 
-def _hostname(netloc: str) -> str | None:
+def _hostname(address: str) -> str | None:
     try:
-        return urlsplit(f"//{netloc}").hostname
+        return urlsplit(address).hostname
     except ValueError:
         return None
 
 
+def _all_of(headers: Headers, name: str) -> str:
+    """Every header of a name in one text: a proxy and this service might believe different ones."""
+    return ", ".join(headers.getlist(name))
+
+
 def same_origin(headers: Headers) -> bool:
     """Tell that no browser of another origin sent this request."""
-    if headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}:
-        return False
-    origin = headers.get("origin")
-    if origin is None:
-        return True
-    parts: Any = urlsplit(origin)
-    return parts.scheme in {"http", "https"} and parts.netloc == headers.get("host", "")
+    host = _all_of(headers, "host")
+    return _all_of(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _all_of(
+        headers, "origin"
+    ) in {"", f"http://{host}", f"https://{host}"}

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import gc
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -16,7 +17,7 @@ from fastapi import FastAPI
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.web import LOOPBACK, WebSettings
-from daq_service.web.bounded_http import BoundedHttp
+from daq_service.web.bounded_http import SPARE_CONNECTIONS, BoundedHttp
 from daq_service.web.context import context_of
 
 LONGEST_SHUTDOWN_S = 1
@@ -25,8 +26,13 @@ HANDSHAKE_WITHIN_S = 10.0
 """As headers; by itself asyncio waits for a minute for somebody who connects and never speaks TLS."""
 COLLECTED_AFTER = (50_000, 20, 50)
 """Objects made, younger looks, middle looks before the collector looks at the youngest, at more, at all."""
+TICKS_OF_A_BEAT = 10
 MOST_CONNECTIONS = 2500
-"""Some hundreds more than streams: whoever asks for something else is still served."""
+"""Some hundreds more than streams: other requests are still served."""
+KEPT_HANDLES = 32
+"""Of the process, for notifications."""
+OWN_HANDLES = 160
+"""Of the process, for its files, databases and libraries."""
 
 
 class _Server(uvicorn.Server):
@@ -38,6 +44,7 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self._close_streams = close_streams
         self._stop = stop
+        self.on_beat: Callable[[], None] = lambda: None
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -49,7 +56,9 @@ class _Server(uvicorn.Server):
             yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Look at the stop event, ten times a second."""
+        """Look at the stop event, ten times a second, and beat at each tenth look."""
+        if counter % TICKS_OF_A_BEAT == 0:
+            self.on_beat()
         if self._stop is not None and self._stop.is_set():
             self.should_exit = True
         return await super().on_tick(counter)
@@ -107,6 +116,21 @@ def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
     return listener
 
 
+def most_connections() -> int:
+    """Raise the process's limit of open handles as far as it goes, and return how many connections fit."""
+    if sys.platform == "win32":  # no such limit
+        return MOST_CONNECTIONS
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(OSError, ValueError):  # macOS takes no "unlimited"
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        soft = hard
+    taken = KEPT_HANDLES + OWN_HANDLES + SPARE_CONNECTIONS
+    fit = MOST_CONNECTIONS if soft == resource.RLIM_INFINITY else soft - taken
+    return max(min(MOST_CONNECTIONS, fit), 1)
+
+
 def collect_garbage_seldom() -> None:
     """Look for garbage in cycles less often, and never in what stays until the process ends.
 
@@ -136,6 +160,7 @@ def serve(
     stop: threading.Event | None = None,
     close_streams: Callable[[], None] | None = None,
     locks: WebSettings | None = None,
+    on_beat: Callable[[], None] = lambda: None,
 ) -> None:
     """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
 
@@ -147,6 +172,8 @@ def serve(
         Called before the last answers are waited for; None: the service's own.
     locks
         Certificate and proxy of a service that others may reach; None: this machine only, nothing encrypted.
+    on_beat
+        Called by the event loop once a second: an event loop that stalls calls it no longer.
     """
     locks = locks or WebSettings()
     listener = bind(host, port, locked=locks.is_reachable)
@@ -159,7 +186,7 @@ def serve(
             ws_ping_interval=20.0,
             log_config=None,
             access_log=False,
-            limit_concurrency=MOST_CONNECTIONS,
+            limit_concurrency=most_connections(),
             server_header=False,
             timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
             lifespan="on",
@@ -175,6 +202,8 @@ def serve(
         on_bound(f"http{'s' if locks.has_tls else ''}://{shown}:{bound_port}/")
         closing = close_streams or context_of(app).close_streams
         with asyncio.Runner(loop_factory=partial(_loop, config)) as runner:
-            runner.run(_Server(config, closing, stop).serve(sockets=[listener]))
+            server = _Server(config, closing, stop)
+            server.on_beat = on_beat
+            runner.run(server.serve(sockets=[listener]))
     finally:
         listener.close()

@@ -1,7 +1,7 @@
 """Way to the boards of another computer: a channel to NI's gRPC device server, every call bounded.
 
 Importing this module needs the `grpc` extra. NI's client sets no deadline on any call and gRPC's
-limit of a message is 4 MB; both are set here.
+limit of a message is 4 MB; both are set here. No web proxy is used.
 """
 
 from __future__ import annotations
@@ -84,6 +84,10 @@ class Channel:
             # gRPC shares connections between channels, and with them the pause after a failed attempt: a
             # new channel to a server that is back would be refused by what the old one met.
             ("grpc.use_local_subchannel_pool", 1),
+            # The web proxies of the environment (http_proxy, grpc_proxy, GRPC_ADDRESS_HTTP_PROXY) know no
+            # chassis, and gRPC sends even 127.0.0.1 through them.
+            ("grpc.enable_http_proxy", 0),
+            ("grpc.address_http_proxy_enabled_addresses", ""),
             ("grpc.initial_reconnect_backoff_ms", FIRST_PAUSE_MS),
             ("grpc.max_reconnect_backoff_ms", LONGEST_PAUSE_MS),
         ]

@@ -196,7 +196,9 @@ def translated(error: Exception, doing: str) -> InstrumentError:
     if isinstance(error, vendor.DaqError):
         return _from_status(error, doing)
     if isinstance(error, vendor.RpcError):
-        return _from_rpc(getattr(error.rpc_code, "name", str(error.rpc_code)), str(error.description), doing)
+        code = getattr(error.rpc_code, "name", str(error.rpc_code))
+        texts = (str(error.description), _grpc_reason(error.__context__))
+        return _from_rpc(code, ": ".join(filter(None, dict.fromkeys(texts))), doing)
     if isinstance(error, vendor.DaqNotFoundError):
         return ConfigurationError(
             f"{doing}: NI-DAQmx is not installed on this computer; install NI's driver, or use a chassis "
@@ -213,7 +215,7 @@ def translated(error: Exception, doing: str) -> InstrumentError:
         return ConfigurationError(f"{doing}: {_one_line(str(error))}; {_REMEDIES[ConfigurationError]}")
     if _is_bare_rpc_error(error):
         code = error.code() if hasattr(error, "code") else None
-        return _from_rpc(getattr(code, "name", "UNKNOWN"), _one_line(str(error)), doing)
+        return _from_rpc(getattr(code, "name", "UNKNOWN"), _grpc_reason(error) or str(error), doing)
     # nidaqmx turns codes into enumerations and texts as it reads them: an answer it cannot is nonsense.
     return ConnectionLostError(
         f"{doing}: the driver's answer makes no sense ({type(error).__name__}: {_one_line(str(error))}); "
@@ -266,6 +268,11 @@ def _from_status(error: Exception, doing: str) -> InstrumentError:
     if kind is BusyError:
         message += f"; owner: {owner_in(text) or 'not named by the driver'}"
     return kind(f"{message}; {_REMEDIES[kind]}")
+
+
+def _grpc_reason(error: BaseException | None) -> str:
+    """Return gRPC's own words: NI's package puts "Failed to connect to server" in place of every reason."""
+    return str(getattr(error, "details", str)() or "")
 
 
 def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:

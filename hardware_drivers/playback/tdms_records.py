@@ -96,8 +96,9 @@ def channel_records(
         if unitless_are_volts and channel.dtype.kind == "f" and not unit:
             own = replace(own, volts_per_unit=1.0)
         written = channel.number(mapping.samples_property)
-        if written is not None and 0 < written < channel.n_samples:
-            own = replace(own, appended=True)
+        # DAQmx logs a whole record with wf_samples of 1.
+        if written is not None and 1 < written < channel.n_samples:
+            own = replace(own, appended=True, channel_pattern=".*")
         rate_hz = sample_rate_hz(channel, own)
         if pretrigger_s is not None:
             own = replace(own, pretrigger_samples=round(pretrigger_s * rate_hz))

@@ -8,13 +8,13 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded
-from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS, DriveParameters, LogParameters
+from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS, DriveParameters, LogParameters
 from hardware_drivers.serial_port.dialects import DIALECTS
 
 TCP_PREFIX, VISA_PREFIX = "tcp:", "visa:"
 _TCP_ADDRESS = re.compile(r"([^:\s]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})")
 USB_SERIAL_PREFIX = "serial:"
-CLIMATE_REACHED_BY = LOG_KEYS | {"line"}
+CLIMATE_REACHED_BY = CLIMATE_KEYS | {"line"}
 """Not what is measured: a replugged cable is no other test."""
 SUPPLY_REACHED_BY = WATCH_KEYS | {
     "line",

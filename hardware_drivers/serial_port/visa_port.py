@@ -49,7 +49,14 @@ class VisaPort:
         self._write_ms = 1e3 * parameters.reply_timeout_s
         self._owes_an_answer = False
         try:
-            resource = pyvisa.ResourceManager().open_resource(name, open_timeout=round(self._write_ms))
+            manager = pyvisa.ResourceManager()
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(
+                f"{name}: the VISA library cannot be loaded ({' '.join(str(error).split())}); install one, "
+                "or correct the variable PYVISA_LIBRARY"
+            ) from error
+        try:
+            resource = manager.open_resource(name, open_timeout=round(self._write_ms))
         except pyvisa.VisaIOError as error:
             if error.error_code in {StatusCode.error_resource_busy, StatusCode.error_resource_locked}:
                 raise BusyError(f"{name} is in use by another program ({error}); stop it") from error

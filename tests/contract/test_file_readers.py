@@ -11,8 +11,8 @@ import silx.io.nxdata
 import xarray
 from h5py import h5t
 from support.archived_sets import LINEAR, SET_INDEX, make_set, other_set
+from support.filed_archive import FiledArchive
 
-from daq_service.archive import FolderArchive
 from daq_service.archive.consolidated import Facts, blocks_of, consolidated_image
 from daq_service.archive.layout import build_image
 
@@ -49,7 +49,7 @@ def path(tmp_path_factory):
 def consolidated(tmp_path_factory):
     """One file of two sets."""
     folder = tmp_path_factory.mktemp("consolidated")
-    archive, blocks = FolderArchive(folder), {}
+    archive, blocks = FiledArchive(folder), {}
     for record in (make_set(), other_set(make_set(), SET_INDEX + 1)):
         for sampling, block in blocks_of(folder, archive.store_set(record).file):
             blocks.setdefault(sampling, []).append(block)

@@ -12,10 +12,10 @@ from pydantic import TypeAdapter
 from support.archived_sets import make_set
 from support.daqmx_brains import running_brain
 from support.daqmx_rig import meet, parameters_of, quick_description, why_no
+from support.filed_archive import FiledArchive
 from support.serial_rig import NO_TERMINALS, SerialRig
 from support.small_experiment import small_settings
 
-from daq_service.archive import FolderArchive
 from hardware_drivers.conformance.bench import Bench, MachineClock
 from hardware_drivers.conformance.kind_contract import KindContract, Open
 from hardware_drivers.conformance.safety_contract import SafetyContract
@@ -65,7 +65,7 @@ def simulated():
 
 @pytest.fixture
 def playback(tmp_path):
-    FolderArchive(tmp_path).store_set(make_set())
+    FiledArchive(tmp_path).store_set(make_set())
     serves: dict[Role, tuple[str, ...]] = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
     experiment = small_settings().model_dump(mode="json")
     return Own(name="playback", table={"source": str(tmp_path)}, serves=serves, experiment=experiment)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
+from support.filed_archive import FiledArchive
 from support.labview_files import write_set
 from support.shots_in_memory import shots_in_memory
 
-from daq_service.archive import FolderArchive
 from daq_service.clock import SimulatedClock
 from daq_service.rig.playback import open_recording
 from hardware_drivers.conformance.clock_contract import ClockContract
@@ -32,7 +32,7 @@ def instruments(request, tmp_path):
         return
     parameters = PlaybackParameters(source=tmp_path)
     if request.param == "archive":
-        archive = FolderArchive(tmp_path)
+        archive = FiledArchive(tmp_path)
         for one in recorded():
             archive.store_set(one)
     else:

@@ -17,8 +17,8 @@ from support.stored_files import set_files
 
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.cli.main import cli
+from daq_service.processes.notifications.webhook import signature
 from daq_service.settings.file import load_settings
-from daq_service.web.notifications.webhook import signature
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

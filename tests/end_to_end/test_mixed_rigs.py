@@ -81,7 +81,6 @@ def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig
             },
             baseline={"minimum_valid_shots": 2},
             quality={"restrikes_per_set": 0},
-            storage={"journal": False},
         )
     )
 

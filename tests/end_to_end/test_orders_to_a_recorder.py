@@ -5,8 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from support.small_experiment import run
-from support.small_experiment import unjournaled_settings as small_settings
+from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 from support.waiting import WAIT_S, until
 

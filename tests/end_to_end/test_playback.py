@@ -12,7 +12,7 @@ import pytest
 from support.archived_sets import assert_same_records
 from support.labview_files import raw_properties, waveform_properties, write
 from support.small_experiment import disturbed_rig, rows_of, run
-from support.small_experiment import unjournaled_settings as half_a_day
+from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
 from daq_service.clock import parse_utc

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.served_web import served
-from support.small_experiment import RigOpener, disturbed_rig, rows_of
+from support.small_experiment import RigOpener, disturbed_rig, rows_of, small_settings
 from support.small_experiment import run as run_experiment
-from support.small_experiment import unjournaled_settings as small_settings
 from support.stored_files import read_set, read_waveform, set_files
 
 from analysis.waves.features import ALL_FEATURE_NAMES

@@ -264,24 +264,6 @@ def test_a_stop_within_a_set_costs_no_strike(pair: dict[str, Any], tmp_path: Pat
     assert list((tmp_path / "journal").iterdir()) == []
 
 
-def test_without_a_journal_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
-    stop, without = threading.Event(), {"storage": {"journal": False}}
-    with _stopping_rig(stop, ShotKey(position="C", set_index=4, shot_index=0)) as rig:
-        assert not run(small_settings(**without), tmp_path, rig=rig, stop=stop)
-    with open_catalogue(tmp_path) as catalogue:
-        states = {row.position: row for row in catalogue.rows(SetRow) if row.set_index == 4}
-    assert {name: row.state for name, row in states.items()} == {
-        "A": "done",
-        "B": "done",
-        "C": "partial",
-        "D": "missed",
-    }
-    assert (states["C"].n_taken, states["C"].cause) == (1, "the recorder was told to stop")
-    assert len(read_set(set_files(tmp_path)[4]).shots) == 4
-    assert run(small_settings(schedule={"end_h": 3.0}, **without), tmp_path)
-    assert sorted(set_files(tmp_path)) == list(range(6))
-
-
 class _KilledError(BaseException):
     """Stands for SIGKILL: nothing may catch it to tidy up."""
 

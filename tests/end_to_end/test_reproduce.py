@@ -18,8 +18,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.small_experiment import SETS, run
-from support.small_experiment import unjournaled_settings as small_settings
+from support.small_experiment import SETS, run, small_settings
 from support.stored_files import read_waveform, set_files
 
 from daq_service.catalogue import open_catalogue

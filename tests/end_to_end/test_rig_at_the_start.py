@@ -12,8 +12,7 @@ from support.crashed_recorders import LongerRecords
 from support.memory_line import healthy
 from support.refused_recorders import INTERVAL_S, Stop, Time
 from support.refused_recorders import record as record_on
-from support.small_experiment import rows_of, run
-from support.small_experiment import unjournaled_settings as small_settings
+from support.small_experiment import rows_of, run, small_settings
 
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import read_heartbeat

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.small_experiment import unjournaled_settings as small_settings
+from support.small_experiment import small_settings
 from support.stepped_clock import SteppedClock
 from support.stored_files import read_set, set_files
 

@@ -141,7 +141,10 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
         folder = fast / f"{design} {name.replace('/', '_')}"
         # Where shots are acknowledged by the group, the pages of one go to the disk in any order.
         holes = design == "simulated" and name.startswith("pages")
-        told = told_of_a_crash(state, acknowledged, folder, whole, settings, with_holes=holes)
+        lost_pages = name.startswith("pages")
+        told = told_of_a_crash(
+            state, acknowledged, folder, whole, settings, with_holes=holes, lost_pages=lost_pages
+        )
         assert told == [], name
         shutil.rmtree(folder)
         count += 1

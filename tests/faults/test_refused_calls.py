@@ -98,11 +98,29 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
     found = followed(SOME, tmp_path)
     assert [wrong(told) for told in found] == [[]] * len(SOME), found
     assert all(told["refusals"] for told in found)
+    assert [case for case, told in zip(SOME, found, strict=True) if not is_reported(told)] == []
     by_journal, by_catalogue, locked, moved = found[0], found[1], found[-2], found[-1]
     for told in (by_journal, by_catalogue, locked, moved):
         assert told["told_after_s"] <= TOLD_WITHIN_S
         kinds = [kind for kind, _ in told["alarms"] if kind != OF_FEW_SETS]
         assert kinds == ["storage_unavailable"]
+
+
+def is_reported(told):
+    return told["told_after_s"] is not None and told["told_after_s"] <= TOLD_WITHIN_S
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_each_refused_opening_is_reported_also_where_a_second_try_helps(followed, tmp_path):
+    cases = [
+        case("open", files, error, count=count)
+        for files in ("/catalogue.sqlite", "/history.jsonl", "/journal/*", "/sets/*")
+        for error in ("EMFILE", "ENOSPC", "EROFS")
+        for count in COUNTS
+    ]
+    found = followed(cases, tmp_path)
+    assert [case_of(told) for told in found if told["refusals"] and not is_reported(told)] == []
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ def supervise(
 ) -> tuple[int, list[Any]]:
     """Run one child whose program is ``script``; exit code and the messages of the child but its beats."""
     program = folder / "child.py"
-    program.write_text(PRELUDE + script, encoding="utf-8")
+    program.write_text(f"{PRELUDE}{script}\ntell('ends', code=0)\n", encoding="utf-8")
     messages: list[Any] = []
 
     def keep(name: str, message: Any) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from analysis.waves.features import FEATURE_NAMES, extract_features
 from daq_service.acquisition.schedule import beside_the_plan, plan
 from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
-from daq_service.archive import FolderArchive, PositionRecord, SetRecord
+from daq_service.archive import PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -25,11 +25,12 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
     VerdictRow,
+    payload_of,
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
 from daq_service.judgement.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
-from daq_service.judgement.transaction import Transaction, payload_of, shot_row
+from daq_service.judgement.transaction import Transaction, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
@@ -38,6 +39,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.empty_catalogue import empty_catalogue
+from support.filed_archive import FiledArchive
 from support.synthetic_records import Scene
 
 N_BASELINE = 48
@@ -96,7 +98,7 @@ class FilledFolder:
                 clock=settings.clock.kind,
                 solimon_version="0",
             )
-        self.archive = FolderArchive(folder)
+        self.archive = FiledArchive(folder)
         self.live = LivePicture(folder, settings.rig.kind)
         self._ownership = ExitStack()
         self._ownership.enter_context(own_data_folder(folder))

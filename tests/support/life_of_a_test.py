@@ -6,11 +6,11 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from daq_service.archive import FolderArchive
 from daq_service.catalogue.experiment_file import keep_experiment
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import EventRow, SetRow
 from hardware_drivers.measurement import ShotKey
+from support.filed_archive import FiledArchive
 from support.memory_line import Answer, Line, healthy, silent
 
 ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
@@ -33,10 +33,12 @@ STOPS = [("B", 4, 2), ("C", 8, 3)]
 
 def run(line: Line, **options: Any) -> None:
     """Run a recorder on the folder's own archive, as a session does; the history follows it."""
-    archive = FolderArchive(line.folder)
+    archive = FiledArchive(line.folder)
     line.run(archive=archive, **options)
     archive.close()
     with line.catalogue(writer=True) as catalogue:
+        for set_index, file in catalogue.without_digest().items():
+            catalogue.set_digest(set_index, file, archive.digest(file))
         keep_experiment(line.folder, catalogue.experiment_row())
         HistoryFollower(line.folder, catalogue).begin()
 

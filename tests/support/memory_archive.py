@@ -23,10 +23,10 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import ordered, set_reference
+from daq_service.archive.records import JournalDamage, ordered, set_reference
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
-NO_TIME = StoreTimings(image_s=0.0, write_s=0.0, fsync_s=0.0, directory_fsync_s=0.0)
+NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
 
 
 @dataclass(slots=True)
@@ -46,21 +46,18 @@ class MemoryArchive:
     ----------
     shelf
         Another archive's, to go on with its sets as after a restart.
-    journal
-        Records are acknowledged before their set.
     """
 
     name = "memory"
+    journal_damage = JournalDamage()
 
-    def __init__(self, shelf: Shelf | None = None, *, journal: bool = False) -> None:
+    def __init__(self, shelf: Shelf | None = None) -> None:
         self.shelf = Shelf() if shelf is None else shelf
-        self.keeps_open_sets = journal
         self._begun: dict[int, OpenSet] = {}
 
     def begin_set(self, set_index: int, **begun: Any) -> None:
-        if self.keeps_open_sets:
-            last_utc_ns = begun["started_utc_ns"]
-            self._begun[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **begun)
+        last_utc_ns = begun["started_utc_ns"]
+        self._begun[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **begun)
 
     def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
         begun = self._begun.get(taken.key.set_index)
@@ -87,8 +84,7 @@ class MemoryArchive:
         return dict(self.shelf.open)
 
     def resume_set(self, opened: OpenSet) -> None:
-        if self.keeps_open_sets:
-            self._begun[opened.set_index] = opened
+        self._begun[opened.set_index] = opened
 
     def places(self, set_index: int) -> Places:
         """Memory has no segments."""

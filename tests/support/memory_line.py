@@ -35,7 +35,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch
-from daq_service.processes.heartbeat import Heartbeat, Stage
+from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.machine import MachineWatch
@@ -207,6 +207,7 @@ class Line:
         disk: DiskWatch | None = None,
         compaction: Compaction | None = None,
         machine: MachineWatch | None = None,
+        web: WebWatch | None = None,
         tell: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
@@ -253,6 +254,7 @@ class Line:
                     idle_check=idle_check,
                     disk=disk,
                     machine=machine,
+                    web=web,
                     acknowledged=acknowledged,
                 ),
                 features_of=self.features_of,

@@ -87,11 +87,11 @@ class StreamEvent:
 
 
 def stream_events(response: httpx.Response) -> Iterator[StreamEvent]:
-    """Parse server-sent events as a browser does; comments are left out."""
+    """Parse server-sent events as a browser does; comments and heartbeats are left out."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():
         if line == "":
-            if "data" in fields:
+            if "data" in fields and fields.get("event") != "heartbeat":
                 number = int(fields["id"]) if "id" in fields else None
                 yield StreamEvent(number, fields.get("event", "message"), json.loads(fields["data"]))
             fields = {}

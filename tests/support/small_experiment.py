@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -51,10 +51,6 @@ def small_settings(**tables: Mapping[str, Any]) -> Settings:
     """Settings of the short experiment; ``tables`` lie over them."""
     overrides = {name: {**SMALL.get(name, {}), **table} for name, table in tables.items()}
     return load_settings(None, overrides={**SMALL, **overrides})
-
-
-# Whole sets at once: a journal and its compaction cost more than the rest of the recorder.
-unjournaled_settings = partial(small_settings, storage={"journal": False})
 
 
 class AtOnce(Executor):

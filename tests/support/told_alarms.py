@@ -8,14 +8,13 @@ from typing import Any
 
 from daq_service.alarms.states import Condition, Moment, reset, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.judgement.transaction import payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.processes.notifications.delivery_log import DeliveryLog
+from daq_service.processes.notifications.messages import Message
+from daq_service.processes.notifications.receiver import ReceiverLine
+from daq_service.processes.notifications.source import Source
+from daq_service.processes.notifications.webhook import Outcome
 from daq_service.settings.tree import Settings
-from daq_service.web.notifications.delivery_log import DeliveryLog
-from daq_service.web.notifications.messages import Message
-from daq_service.web.notifications.receiver import ReceiverLine
-from daq_service.web.notifications.source import Source
-from daq_service.web.notifications.webhook import Outcome
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.begun_experiment import begun_catalogue
 

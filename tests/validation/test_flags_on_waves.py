@@ -26,6 +26,7 @@ FAULTS = [
     "foreign_anywhere",
     "lost_and_zero",
     "lost_and_held",
+    "broken_off",
     "lost_and_bridged",
     "lost_and_closed_up",
 ]

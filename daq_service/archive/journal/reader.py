@@ -131,11 +131,15 @@ class JournaledSet:
         )
 
     def opened(self) -> OpenSet | None:
-        """Return what was durable of a set that is not whole; None if nothing says when it was due."""
+        """Return what was durable of a set that is not whole; None if nothing of it is left."""
+        told: dict[str, Any]
         if self.begin is not None:
             told = {**self.begin.told(), "started_utc_ns": self.begin.utc_ns}
         elif self.end is not None:
             told = {**self.end, "retired": {}}
+        elif self.shots or self.missed:
+            first_ns = min((frame.utc_ns for frame in self.shots.values()), default=self.last_utc_ns)
+            told = {"due_utc_ns": first_ns, "started_utc_ns": first_ns, "retired": {}}
         else:
             return None
         return OpenSet(
@@ -144,6 +148,7 @@ class JournaledSet:
             started_utc_ns=told["started_utc_ns"],
             last_utc_ns=self.last_utc_ns,
             retired=told["retired"],
+            is_dated=self.begin is not None or self.end is not None,
             records=[record_of(frame) for _, frame in sorted(self.shots.items())],
             missed=list(self.missed.values()),
         )
@@ -164,6 +169,17 @@ def segments(folder: Path) -> dict[int, Path]:
     """Segments of a data folder by their number, in order."""
     found = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
     return dict(sorted((int(match[1]), path) for match, path in found if match))
+
+
+def number_of(file: str) -> int:
+    """Return the number of a segment by its name."""
+    return int(Path(file).stem)
+
+
+def strays(folder: Path) -> list[Path]:
+    """Files of the journal's folder that hold frames, but have no segment's name."""
+    others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
+    return [path for path in others if path.is_file() and any(frames(read_shared(path)))]
 
 
 def segment_path(folder: Path, number: int) -> Path:

@@ -7,11 +7,20 @@ import errno
 import logging
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
+from daq_service.archive.journal.checking import CheckedJournal, check_journal
 from daq_service.archive.journal.frames import Buffers, aside_frame, begin_frame, missed_frame, record_frame
-from daq_service.archive.journal.reader import JournaledSet, read_journal, segment_path, segments
-from daq_service.archive.records import QUARANTINE_FOLDER, MissedRecord, Places
+from daq_service.archive.journal.reader import (
+    JournaledSet,
+    number_of,
+    read_journal,
+    segment_path,
+    segments,
+    strays,
+)
+from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, JournalDamage, MissedRecord, Places
 from daq_service.shared_file import (
     O_BINARY,
     patiently,
@@ -35,23 +44,26 @@ synchronise = getattr(os, "fdatasync", os.fsync)
 class Journal:
     """The segments of one data folder in the hands of the recorder.
 
-    Opening reads what an earlier process left, and changes nothing: new frames go to a new segment, since
-    nobody knows what an older one's tail looks like on the disk.
+    Opening reads what an earlier process left and copies damaged segments to the quarantine. New frames go to
+    a new segment: what the tail of an older one looks like on the disk is not known.
 
     Attributes
     ----------
-    left
-        What was found at the opening, by set index.
+    left, damage
+        What was found at the opening, by set index, and what of it is damaged.
 
     Raises
     ------
     OSError
-        A segment cannot be read.
+        A segment cannot be read, or a damaged one not copied.
     """
 
     def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
         self._folder, self._segment_bytes = folder, segment_bytes
-        self.left: dict[int, JournaledSet] = read_journal(folder)
+        renamed = self._rename_strays()
+        checked = check_journal(folder)
+        self.left: dict[int, JournaledSet] = dict(checked.sets)
+        self.damage = self._copy_damaged(checked, renamed)
         self._sets_in: dict[int, dict[int, tuple[int, int | None]]] = {
             number: {} for number in segments(folder)
         }
@@ -64,6 +76,42 @@ class Journal:
         self._pending: list[Buffers] = []
         self._unacknowledged: list[int] = []
         self._pending_sets: set[int] = set()
+
+    def _rename_strays(self) -> dict[str, str]:
+        """Give files whose names are damaged a segment's name; return what each had before."""
+        had = {}
+        for path in strays(self._folder):
+            new = segment_path(self._folder, max(segments(self._folder), default=0) + 1)
+            patiently(partial(os.rename, path, new))
+            had[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
+        return had
+
+    def _copy_damaged(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
+        """Copy damaged segments to the quarantine, before anything of them can be dropped."""
+        found = {file: [f"its name was {name}"] for file, name in renamed.items()}
+        for file, damage in checked.damages:
+            found.setdefault(file, []).append(str(damage))
+        copies = {file: self._copy_aside(number_of(file), Path(file).name) for file in found}
+        for file, reasons in found.items():
+            log.error("%s is damaged: %s; a copy is %s", file, "; ".join(reasons), copies[file])
+        return JournalDamage(
+            files={copies[file]: f"copy of {file}: {'; '.join(reasons)}" for file, reasons in found.items()},
+            sets=checked.suspects,
+            next_sequence=checked.last_sequence + 1,
+            n_lost=checked.n_lost,
+        )
+
+    def _copy_aside(self, number: int, name: str) -> str:
+        """Copy a segment to the quarantine, once; return where it is."""
+        content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
+        copy = self._folder / QUARANTINE_FOLDER / name
+        copy.parent.mkdir(exist_ok=True)
+        sync_folder(self._folder)
+        while copy.exists() and read_shared(copy) != content:
+            copy = copy.with_name(f"again_{copy.name}")
+        if not copy.exists():
+            write_durably(copy, content, temporary=copy.with_suffix(".tmp"))
+        return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def begin(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
@@ -97,14 +145,9 @@ class Journal:
         OSError
             It stays as it is.
         """
-        quarantine = self._folder / QUARANTINE_FOLDER
         item = read_journal(self._folder, of_set=set_index)[set_index]
         for number in item.segments:
-            content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
-            copy = quarantine / f"{name}.{number:06d}.journal"
-            while copy.exists():
-                copy = copy.with_name(f"again_{copy.name}")
-            write_durably(copy, content, temporary=copy.with_suffix(".tmp"))
+            self._copy_aside(number, f"{name}.{number:06d}.journal")
         self._add(set_index, aside_frame(set_index))
         self.sync()
         self.settle(set_index)

@@ -29,6 +29,7 @@ from hardware_drivers.methods import SOLITARY_WAVE
 REMEDIES: Mapping[str, str] = {
     "missed": "see whether the striker lifts and falls, then the sensor's cable and trigger_slope",
     "false_trigger": "set holdoff_s as the look at the coil's spike proposes",
+    "lost_samples": "see why the transfer broke off: link, buffer, other programs that read the board",
     "double": "let the striker come to rest on its stop: shorten pulse_s or damp the guide",
     "clipped": "take a larger range_v, or lower the gain before the input",
     "inverted": "swap the PZT's leads, or set trigger_slope to the other direction",

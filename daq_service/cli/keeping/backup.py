@@ -35,6 +35,7 @@ from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
+from daq_service.processes.heartbeat import WEB_FILE
 from daq_service.shared_file import (
     O_BINARY,
     patiently,
@@ -62,6 +63,7 @@ LEFT_OUT = {
     "notifier.lock",
     "tokens.json",
     "tokens.lock",
+    WEB_FILE,
 }
 """Copied in their own way, or signs of a running test, which a copy is not; who may enter, and who is told of
 alarms from when on, is for each copy to say."""
@@ -210,7 +212,8 @@ def _copy_sets(
             copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=told))
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
-        _write(target, read_shared(source), copied)
+        if found.n_bytes:  # else nothing of it can be read
+            _write(target, read_shared(source), copied)
     progress(len(files), len(files))
 
 

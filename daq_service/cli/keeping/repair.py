@@ -9,9 +9,10 @@ from pathlib import Path
 
 from daq_service.archive import Results, SetReference
 from daq_service.archive.compaction import compact_set
+from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import JournaledSet
 from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, referenced_sets
-from daq_service.archive.verification import check_file, check_journal
+from daq_service.archive.verification import check_file
 from daq_service.archive.writer import move_aside
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from daq_service.archive import SetNotFoundError, SetRecord, SetReference
 from daq_service.archive.errors import BACK
+from daq_service.archive.journal.checking import CheckedJournal, check_journal
 from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
@@ -21,20 +22,20 @@ from daq_service.archive.records import (
     referenced_sets,
     set_reference,
 )
-from daq_service.archive.verification import CheckedJournal, check_file, check_journal
+from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import parsed, read_history
+from daq_service.catalogue.history import lost_rows, parsed, read_history
 from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.keeping.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError
 from daq_service.orders.audit import AUDIT_FILE
 from daq_service.processes.data_folder import is_owned
+from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
-from daq_service.web.notifications.delivery_log import LOG_FILE
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -164,6 +165,9 @@ def check_experiment(look: Look) -> Iterator[Finding]:
         return
     look.checked["lines_of_history"] = history.last_number
     last_id = max(history.events, default=0)
+    if last_id and look.catalogue is not None and not look.catalogue.has_event(history.events[last_id]):
+        # A recorder, too, appends to the history what the catalogue has.
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=lost_rows(last_id))
     # A folder from before there was either gets them with its next start.
     older = history.last_number == 0 and not (look.folder / EXPERIMENT_FILE).exists()
     cut_off = [] if older else _lines_cut_off(look, last_id, running=running)

@@ -110,7 +110,8 @@ def answered(
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
-        told = {"file": str(path), "refused": str(error), "features_dropped": []}
+        lists = ("features_dropped", "columns_assessed", "columns_left_out")
+        told = {"file": str(path), "refused": str(error), **{name: [] for name in lists}}
         return told | _nothing(with_rows=with_rows), error
 
 
@@ -126,6 +127,7 @@ def sensor(
     found = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
     told: dict[str, Any] = {"file": str(path), "refused": found.refused}
     told["features_dropped"] = list(found.features_dropped)
+    told |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
     if found.refused is not None:
         return told | _nothing(with_rows=with_rows)
     nothing, rows = None, len(table.vectors)
@@ -188,6 +190,9 @@ def in_words(told: dict[str, Any], budget: float, sets_per_day: float) -> str:
     if told["refused"] is not None:
         return f"{told['file']}: refused: {told['refused']}"
     alarm, lines = told["alarm"], [told["file"]]
+    lines.append(f"  columns    {', '.join(told['columns_assessed'])}")
+    for one in told["columns_left_out"]:
+        lines.append(f"  left out   {one['name']!r}: {one['reason']} ({one['cell']!r} in row {one['row']})")
     lines.append(
         f"  baseline   {told['n']} sets, worth {told['n_eff']:.0f} independent ones"
         f" (memory {told['phi_pooled']:.2f}), tails {told['tail']:.2f} x normal"

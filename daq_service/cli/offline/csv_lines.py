@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from itertools import takewhile
 from pathlib import Path
 
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 
+NO_LINE = re.compile(r"\s*|sep=.\s*", re.IGNORECASE)
 COMMENTS = "comments stand before all other lines: move it there, or take it out"
 
 
@@ -16,25 +18,28 @@ class NoTableError(UsageError):
 
 
 def csv_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Read the comments that a file in UTF-8 begins with, and its other lines; empty ones are none.
+    """Read the comments that a file begins with, and its other lines; empty ones are none.
+
+    It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
 
     Raises
     ------
     NoTableError
-        It is not in UTF-8.
+        It is in neither.
     OSError
         It cannot be read.
     """
     content = read_shared(path)
+    wide = len(content) % 2 == 0 and content[:2] in (b"\xff\xfe", b"\xfe\xff", content[:1] + b"\0")
     try:
-        text = content.decode("utf-8").removeprefix("\ufeff")
+        text = content.decode("utf-16" if wide else "utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         *before, line = content[: error.start + 1].splitlines()
         raise NoTableError(
             f"{path} is no CSV file in UTF-8: byte {len(line)} of line {len(before) + 1} is "
             f"0x{line[-1]:02x}; save it as UTF-8"
         ) from error
-    lines = [line for line in text.splitlines() if line.strip()]
+    lines = [line for line in text.splitlines() if not NO_LINE.fullmatch(line)]
     comments = list(takewhile(is_comment, lines))
     return comments, lines[len(comments) :]
 

@@ -29,11 +29,12 @@ from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_r
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import console_on
 from daq_service.errors import UsageError
+from daq_service.settings.foreign_text import in_one_line
 
 MANY_RECORDS = 2_000
 """More take longer than a second, so that progress is told."""
-LARGEST_V = 1e100
-"""Beyond, a record's energy is no number."""
+LARGEST_V = 1e30
+"""Above, a value is no volts but an instrument's overload (9.9E37)."""
 LOOKED_AT = 50
 """Records of a file, evenly spread, that say how wide its waves are."""
 
@@ -234,7 +235,7 @@ def _known(value: float) -> float | None:
 def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{file}, extractor {EXTRACTOR_VERSION}")
+    table = Table(title=f"{in_one_line(str(file))}, extractor {EXTRACTOR_VERSION}")
     columns = (
         ("ToF us", "tof_mf_s", 1e6, 2),
         ("AR", "amplitude_ratio", 1.0, 4),

@@ -86,7 +86,9 @@ def open_records(path: Path, told: Told) -> RecordFile:
         found = reader(path, told)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ArchiveError, ConfigurationError) as error:
+    except ArchiveError as error:
+        raise UsageError(f"{error}; records of other programs (MATLAB, pandas): save them as .npy") from error
+    except ConfigurationError as error:
         raise UsageError(str(error)) from error
     if not found.n:
         raise UsageError(f"{path} holds no record of a solitary wave")
@@ -95,8 +97,9 @@ def open_records(path: Path, told: Told) -> RecordFile:
 
 def _npy(path: Path, told: Told) -> RecordFile:
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        with np.errstate(over="ignore"):  # of a claimed shape
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
     if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
@@ -113,8 +116,11 @@ def _npy(path: Path, told: Told) -> RecordFile:
 
 def _csv(path: Path, told: Told) -> RecordFile:
     _, lines = csv_lines(path)
-    if lines and not any(map(_is_number, _cells(lines[0]))):
-        del lines[0]  # names
+    names = _cells(lines[0]) if lines else []
+    numbered = [str(k) for k in range(len(names))]
+    indexed = names[:1] == [""] and names[1:] == numbered[:-1]  # as pandas writes a table
+    if lines and (indexed or names == numbered or not any(map(_is_number, names))):
+        del lines[0]
     counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _cells(lines[0])))
     scaled = _scaling(path, told, counts=counts, ends=None)
 
@@ -122,7 +128,7 @@ def _csv(path: Path, told: Told) -> RecordFile:
         for number, line in list(enumerate(lines))[::every]:
             if is_comment(line):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r} is a comment; {COMMENTS}")
-            cells = _cells(line)
+            cells = _cells(line)[indexed:]
             if not any(map(_is_number, cells)):
                 raise UsageError(f"{path}, record {number}: {line[:40]!r}; a row is a record of numbers")
             yield scaled(np.array([float(cell) if _is_number(cell) else np.nan for cell in cells]))
@@ -132,7 +138,7 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
 def _cells(line: str) -> list[str]:
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
-    cells = line.strip().split(None if separator == " " else separator)
+    cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
     return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,9 +21,29 @@ MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
 SEPARATORS = ";\t,"
 """Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
-MISSING = frozenset({"", "na", "n/a", "nan", "nil", "null", "none", "-"})
-"""What stands in a cell without a value, in small letters."""
+MISSING = re.compile(r"|n/?a|nan|nil|null|none|-|[+-]?ol|ovld|overload", re.IGNORECASE)
+"""What stands in a cell without a value; the last ones are an instrument's overload."""
+OVERLOAD, NO_READINGS = 1e38, (-999.0, -9999.0, -99999.0)
+"""Numbers that stand for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
+MOST_CELLS = 100_000_000
+"""Of a table whose size stands in its header: 800 MB of numbers."""
 NAMES_SHOWN = 12
+ROWS_BY_NAME = re.compile(
+    r"unnamed: \d+|__index_level_\d+__|level_\d+|index|idx|#|no|nr|number|(.*[_ ])?(id|uid|uuid|guid)"
+    r"|(row|set|shot|sample|record|serial|sequence)([_ ]?(no|nr|number|index))?"
+    r"|date|time|date[_ ]?time|time[_ ]?stamp|utc|epoch|due_h|hours?|minutes?|seconds?|days?"
+)
+"""Names of columns that count, time or name rows, in small letters and without a unit."""
+FEWEST_STEPS = 11
+"""From row to row: those of a feature have one sign by chance once in a thousand columns."""
+NEARLY = re.compile(
+    r"[<>~≈=±$€£'\u2019]?\s*[(+\-\u2212\u2013]?\s*[.,]?\d[\d.,'\u2019\s]*([eEdD]\s?[+-]?\d+)?\s*(±.*)?[)%‰°A-Za-zµμΩ/²³·\s]*"
+)
+"""A number with a unit, marks between thousands, or a sign that is none of Python's."""
+DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}")
+NO_NUMBERS = "most of its cells are no numbers"
+THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,]\d{3})+\s*")
+TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)\s*:?\s*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,11 +58,14 @@ class TableFile:
         Of the features; of a `.npy` file without names the numbers of its columns, from 0.
     in_baseline
         Shape (rows,).
+    left_out
+        Columns that are no features: ``name``, ``reason``, and their first ``cell`` with its ``row``.
     """
 
     vectors: NDArray[np.float64]
     names: tuple[str, ...]
     in_baseline: NDArray[np.bool_]
+    left_out: tuple[dict[str, Any], ...] = ()
 
 
 def read_table(
@@ -51,14 +76,15 @@ def read_table(
     Parameters
     ----------
     features
-        Names of columns; none: all that hold numbers, but for the one of ``baseline_where``.
+        Names of columns; none: all that hold numbers, but for the one of ``baseline_where`` and those that
+        count, time or name the rows.
     baseline_rows, baseline_where
         One of them: the first so many rows, or those whose column has this value.
 
     Raises
     ------
     NoTableError
-        The file holds no table.
+        The file holds no table, or a column of it holds nearly numbers.
     UsageError
         There is no such file, or it has no such column; with what it has.
     """
@@ -69,20 +95,25 @@ def read_table(
     missing = [name for name in features if name not in columns]
     if missing:
         raise UsageError(f"{path}: no column {_listed(missing)}; it has {_listed(columns)}")
-    chosen = list(features) or [name for name in columns if name not in ("", healthy_by)]
+    chosen = list(features) or [name for name in columns if name != healthy_by]
     numbers = {name: _numbers(columns[name], decimal) for name in chosen}
+    reasons = {} if features else {name: _reason(name, columns[name], numbers[name]) for name in chosen}
     if features:
         for name, column in numbers.items():
             if column is None:
                 cell = _no_number(columns[name], decimal)
-                raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number")
-    kept = {name: column for name, column in numbers.items() if column is not None}
+                at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
+                raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
+    kept = {name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)}
     if not kept:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
             f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
             "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
+    for name in chosen:
+        if not isinstance(columns[name], np.ndarray) and (name in kept or reasons[name] == NO_NUMBERS):
+            _refuse_nearly(path, name, columns[name], decimal)
     vectors = np.stack(list(kept.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
@@ -91,7 +122,48 @@ def read_table(
         if not healthy.any():
             there = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
             raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {there}")
-    return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy)
+    left_out = tuple(_left_out(name, columns[name], why) for name, why in reasons.items() if why)
+    return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy, left_out=left_out)
+
+
+def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
+    """Say why a column is no feature; empty: it is one, or it has neither name nor value."""
+    if not name:
+        return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
+    if ROWS_BY_NAME.fullmatch(re.split(r"[\[(]", name)[0].strip().lower().rstrip(".:")):
+        return "by its name an index, a time or an identifier"
+    if numbers is None:
+        return NO_NUMBERS
+    if not isinstance(column, np.ndarray) and any(re.fullmatch(r"\s*0\d+\s*", str(c)) for c in column):
+        return "identifiers: whole numbers that begin with 0"
+    steps = np.diff(numbers[np.isfinite(numbers)])
+    if np.count_nonzero(steps) >= FEWEST_STEPS and abs(np.sign(steps).sum()) == np.count_nonzero(steps):
+        return "it only rises or only falls, as an index or a time does"
+    return ""
+
+
+def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
+    row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
+    return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
+
+
+def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
+    """Refuse a column of numbers with something else in a cell, or with two decimal marks."""
+    known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
+    mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
+    nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
+    words = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
+    if nearly and 2 * words <= len(known):
+        raise NoTableError(
+            f"{path}: column {name!r} holds {str(column[nearly[0]])!r} in row {nearly[0]}, nearly a number: "
+            "write the number alone, with no mark between thousands, or choose other columns by --features"
+        )
+
+
+def _is_nearly(cell: Any, decimal: str, *, mixed: bool) -> bool:
+    if not isinstance(cell, str) or _number(cell, decimal) is not None:
+        return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
+    return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
 def _columns(path: Path) -> tuple[dict[str, Any], str]:
@@ -124,7 +196,9 @@ def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
         raise NoTableError(f"{path} is empty; its first line names the columns")
     decimal = "." if separator == "," else ","
     header, body = _named(last_comment, rows, decimal)
+    _trim(header, body)
     _require_names_once(path, header)
+    body = _without_units(path, header, body, decimal)
     for number, row in enumerate(body):
         known = len(row) == len(header) and any(
             _is_missing(cell) or _is_number(cell, decimal) for cell in row
@@ -136,7 +210,33 @@ def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
                 f"{path}: row {number} has {len(row)} cells, the first line {len(header)}: leave a cell "
                 "empty where a value is missing, and separate by semicolons or tabs where a comma is decimal"
             )
-    return {name: [row[k] for row in body] for k, name in enumerate(header)}, decimal
+    total = next(filter(TOTAL.fullmatch, body[-1]), "") if body else ""
+    if total and not any(total in row for row in body[:-1]):
+        raise NoTableError(f"{path}: the last row is {total!r} of the others, not a set: take it out")
+    return {name: [row[header.index(name)] for row in body] for name in header}, decimal
+
+
+def _trim(header: list[str], body: list[list[str]]) -> None:
+    """Take away what separators at the ends of lines, and lines of separators at the end, add."""
+    while body and not any(map(str.strip, body[-1])):
+        body.pop()
+    width = max((k for row in (header, *body) for k, cell in enumerate(row, 1) if cell.strip()), default=0)
+    for row in (header, *body):
+        del row[width:]
+
+
+def _without_units(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
+    """Leave out a row of units below the names; one of names, below merged cells, is refused."""
+    first, second = (*body, [], [])[:2]
+    if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
+        return body
+    cells = enumerate(zip(first, second, strict=False))
+    words = [k for k, (cell, below) in cells if _is_number(below, decimal) and not _is_missing(cell)]
+    if any(not header[k] for k in words):
+        raise NoTableError(
+            f"{path}: row 0 ({','.join(first)}) names columns without a name: keep one such row"
+        )
+    return body[1:] if words else body
 
 
 def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
@@ -165,7 +265,13 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
     from pyarrow import parquet
 
     try:
-        table = parquet.ParquetFile(path).read()
+        with parquet.ParquetFile(path) as file:
+            n_rows, n_columns = file.metadata.num_rows, file.metadata.num_columns
+            if n_rows * n_columns > MOST_CELLS:
+                raise NoTableError(
+                    f"{path}: {n_rows} rows of {n_columns} columns; at most {MOST_CELLS:,} cells are read"
+                )
+            table = file.read()
     except arrow.ArrowInvalid as error:
         raise NoTableError(f"{path} is no Parquet file: {error}") from error
     _require_names_once(path, table.column_names)
@@ -179,8 +285,9 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
 
 def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
         what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
@@ -191,21 +298,26 @@ def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
 def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
     """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
     if isinstance(column, np.ndarray):
-        return column.astype(np.float64)
+        return _without_overload(column.astype(np.float64))
     told = [None if _is_missing(cell) else cell for cell in column]
     values = [_number(cell, decimal) for cell in told]
     strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
     if 2 * strange > len(told) - told.count(None):
         return None
-    return np.array([np.nan if value is None else value for value in values])
+    return _without_overload(np.array([np.nan if value is None else value for value in values]))
+
+
+def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
+    return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
 def _is_missing(cell: Any) -> bool:
-    return cell is None or (isinstance(cell, str) and cell.strip().lower() in MISSING)
+    return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
 def _number(cell: Any, decimal: str) -> float | None:
-    if isinstance(cell, bool):
+    if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
     try:
         return float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)

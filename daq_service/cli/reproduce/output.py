@@ -12,6 +12,7 @@ from typing import Any
 
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
+from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.shared_file import patiently
 
 RECORD = "reproduction.json"
@@ -81,4 +82,4 @@ def _cell(value: Any) -> str:
         if math.isnan(number):
             return ""
         return repr(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
-    return str(value)
+    return spreadsheet_cell(value) if isinstance(value, str) else str(value)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from pathlib import Path
 
 import click
 
-from daq_service.errors import EXIT_NOT_MET, UsageError
+from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 from daq_service.orders.give import user_name
 from daq_service.processes.data_folder import settings_and_folder
-from daq_service.web.notifications.addresses import address_of
-from daq_service.web.notifications.by_apprise import notify
-from daq_service.web.notifications.messages import Test, trial_message
-from daq_service.web.notifications.webhook import Outcome, post
+from daq_service.processes.notifications.addresses import address_of
+from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.messages import Test, trial_message
+from daq_service.processes.notifications.webhook import Outcome, post
 
 
-def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> None:
+def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int:
     """Send a trial message to one receiver, or to all, and print what became of each.
 
     Raises
@@ -44,5 +43,4 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> Non
         keys = ("ok", "told", "status")
         told = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}
         click.echo(json.dumps({"receivers": told}))
-    if not all(result.ok for result in results.values()):
-        sys.exit(EXIT_NOT_MET)
+    return EXIT_OK if all(result.ok for result in results.values()) else EXIT_NOT_MET

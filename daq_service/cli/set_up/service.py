@@ -21,12 +21,13 @@ import click
 
 from daq_service.corrosion_drive.remote import answered_within_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
+from daq_service.processes.child import PROGRAM
 from daq_service.processes.data_folder import settings_and_folder
+from daq_service.processes.heartbeat import WEB_DEADLINE_S
 from daq_service.processes.supervisor import STARTING_GRACE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.tree import Settings
 
-PYTHON = (sys.executable, "-P", "-m", "daq_service.cli")
 Lines = Sequence[tuple[str, str]]
 
 
@@ -99,7 +100,6 @@ def systemd_units(
                 ("TimeoutStopSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
                 # The recorder itself is told; its workers end with it, or are killed after it.
                 ("KillMode", "mixed"),
-                ("Restart", "on-failure"),
                 ("RestartSec", "10"),
             ],
         ),
@@ -107,9 +107,10 @@ def systemd_units(
             "web service",
             [],
             [
-                ("Type", "exec"),
+                ("Type", "notify"),
+                ("NotifyAccess", "main"),
+                ("WatchdogSec", f"{WEB_DEADLINE_S:.0f}"),  # fed by the event loop itself
                 ("ExecStartPre", f"mkdir -p {_quoted(str(folder))}"),
-                ("Restart", "on-failure"),
                 ("RestartSec", "5"),
                 ("PrivateDevices", "yes"),
             ],
@@ -125,8 +126,6 @@ def systemd_units(
                 ("WatchdogSec", f"{math.ceil(answered_within_s(supply))}"),
                 # Told to end it switches off first, which the supply may keep waiting.
                 ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
-                # Also after it has handed over to one with another configuration.
-                ("Restart", "always"),
                 ("RestartSec", "5"),
             ],
         )
@@ -158,7 +157,9 @@ def _unit(
             ("User", user),
             ("WorkingDirectory", _plain(str(at))),
             ("ExecStart", " ".join(map(_quoted, command))),
-            # A configuration does not mend itself; what an operator stops is no failure.
+            # Any exit code may be that of a driver or a vendor's library, so none ends a test but that of a
+            # configuration, which does not mend itself; `systemctl stop` is no restart.
+            ("Restart", "always"),
             ("RestartPreventExitStatus", f"{UsageError.exit_code}"),
             ("SuccessExitStatus", f"{EXIT_INTERRUPTED}"),
             *service,
@@ -181,7 +182,7 @@ def _unit(
 def _command(word: str, config: PurePath, folder: PurePath) -> list[str]:
     # After its last set the recorder stays and takes orders.
     linger = ["--linger"] if word == "record" else []
-    return [*PYTHON, word, str(config), "--data-dir", str(folder), *linger]
+    return [*PROGRAM, word, str(config), "--data-dir", str(folder), *linger]
 
 
 def _plain(text: str) -> str:

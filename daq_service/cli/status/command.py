@@ -13,6 +13,7 @@ from daq_service.cli.terminal import console_on
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import refuse_other_folders, settings_of_folder
+from daq_service.settings.foreign_text import in_one_line
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -81,5 +82,5 @@ def _seen(config: Path | None, data_dir: Path | None) -> RenderableType:
     try:
         folder, facts = _look(config, data_dir)
     except SolimonError as error:
-        return f"cannot be read now, and is looked at again: {error}"
+        return f"cannot be read now, and is looked at again: {in_one_line(str(error))}"
     return picture(facts, str(folder))

@@ -13,7 +13,10 @@ from daq_service.alarms.proof import baseline_doubts
 from daq_service.archive import FolderSetReader
 from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.experiment_file import HISTORY_FILE
+from daq_service.catalogue.history import lacks_rows_of, read_history
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -45,6 +48,8 @@ log = logging.getLogger(__name__)
 
 LOOKED_AT = 4000
 """The files of so many of the newest rows are looked at; ``doctor`` and a recorder look at all."""
+END_BYTES = 100_000
+"""Of the history; its last line is enough."""
 GAPS_A_POSITION = 5
 """So many of the newest gaps of a position are named."""
 
@@ -77,7 +82,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "counts": counts,
                 "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
-                "lost": lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
+                "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "confirmations": _confirmations(catalogue, settings, fresh),
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
@@ -124,6 +129,15 @@ def _climate(row: EnvironmentRow | None) -> dict[str, Any] | None:
         return None
     names = ("climate_quality", "climate_age_s", "temperature_c", "relative_humidity")
     return {name: getattr(row, name) for name in names}
+
+
+def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
+    """State whether the catalogue is an older copy: the end of the history knows more."""
+    try:
+        lacking = lacks_rows_of(read_history(folder, tail_bytes=END_BYTES), catalogue)
+    except OSError as error:
+        return {HISTORY_FILE: f"cannot be read: {error}"}
+    return {FILE_NAME: lacking} if lacking else {}
 
 
 def _last_told(word: LastWord) -> dict[str, Any]:

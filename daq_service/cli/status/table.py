@@ -18,11 +18,14 @@ from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
 from daq_service.judgement.cause import said
 from daq_service.processes.disk_policy import LEVELS
+from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 
 STYLES = {
     "alarm": "bold red",
     "retired": "bold red",
     "outlier": "yellow",
+    "shelved": "yellow",
+    "out_of_service": "yellow",
     "learning": "cyan",
     "not_judged": "yellow",
     "normal": "green",
@@ -45,6 +48,7 @@ LARGEST_IN_FULL = 1e4
 
 def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
     """Compose everything that `facts.describe_status` tells."""
+    facts, folder = all_in_one_line(facts), in_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
     for name, told, style in _head(facts, folder):
         head.add_row(f"{name:<8}", Text(told, style=style))
@@ -100,7 +104,8 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     for told in _gaps(facts["gaps"]):
         yield "gap", told, "yellow"
     for file, what in facts["lost"].items():
-        yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
+        remedy = "" if "solimon" in what else "; solimon repair --from BACKUP brings it back"
+        yield "LOST", f"{file} {what}{remedy}", "bold red"
     yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
     yield from (("verdict", *told) for told in _verdicts(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):

@@ -17,6 +17,7 @@ import numpy as np
 from daq_service.archive.sweep_table import hdf5_image
 from daq_service.cli.sweep.table import Column, SweepTable, facts_text
 from daq_service.errors import StorageError, UsageError
+from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.shared_file import write_durably
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
@@ -93,7 +94,7 @@ def csv_text(table: SweepTable) -> str:
 
 def _cells(values: Column) -> list[str]:
     if isinstance(values, list):
-        return values
+        return list(map(spreadsheet_cell, values))
     if values.dtype == np.bool_:
         return [str(cell).lower() for cell in values.tolist()]
     return ["" if cell != cell else repr(cell) for cell in values.tolist()]  # only NaN differs from itself

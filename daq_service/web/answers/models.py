@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
+from daq_service.judgement.standing import PositionStatus
 from daq_service.orders.audit import Result
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
@@ -385,8 +386,9 @@ class PositionState(Answer):
     label: str
     method: Method
     serial_number: str
-    state: Literal["no_data", "learning", "not_judged", "normal", "outlier", "alarm", "retired"] = Field(
-        description="`not_judged`: `last_verdict.reason` says why the newest set was not"
+    state: PositionStatus = Field(
+        description="`not_judged`: `last_verdict.reason` gives the reason. `shelved`, `out_of_service`: an "
+        "alarm is active, but suppressed"
     )
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
     data_h: float | None = Field(description="Hour of the newest set that was measured")

@@ -46,6 +46,8 @@ export const STATES = {
   not_judged: { word: "Not judged", icon: "triangle", tone: "warn" },
   normal: { word: "Normal", icon: "check", tone: "good" },
   outlier: { word: "Outlier", icon: "triangle", tone: "warn" },
+  shelved: { word: "Shelved", icon: "pause", tone: "warn" },
+  out_of_service: { word: "Out of service", icon: "pause", tone: "warn" },
   alarm: { word: "Alarm", icon: "bell", tone: "alarm" },
   retired: { word: "Retired", icon: "stop", tone: "alarm" },
 };

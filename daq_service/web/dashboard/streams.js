@@ -1,6 +1,8 @@
 // The live waveforms (WebSocket, latest only), and how records come as bytes.
 
 import { BASE } from "./api.js";
+import { HEARTBEAT_S } from "./events/source.js";
+import { Watch } from "./events/watch.js";
 
 /**
  * @typedef {object} Record_
@@ -44,6 +46,11 @@ export class WaveformStream {
     this.delayMs = 500;
     /** @type {WebSocket | null} */
     this.socket = null;
+    this.watch = new Watch(HEARTBEAT_S, () => {
+      // Also one that still connects: others to this service would wait for it.
+      this.socket?.close();
+      this.open(this.position);
+    });
     // A hidden tab needs no pictures.
     document.addEventListener("visibilitychange", () => (document.hidden ? this.close() : this.open(this.position)));
   }
@@ -57,9 +64,16 @@ export class WaveformStream {
     const socket = new WebSocket(`${scheme}//${location.host}${BASE}/api/v1/waveforms/live?positions=${position}`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    socket.onopen = () => (this.delayMs = 500);
+    this.watch.connecting();
+    socket.onopen = () => {
+      this.delayMs = 500;
+      this.watch.alive();
+    };
     socket.onmessage = (message) => {
-      if (this.socket === socket) this.onRecord(decode(message.data));
+      if (this.socket !== socket) return;
+      const heartbeat = typeof message.data === "string";
+      this.watch.alive(heartbeat ? JSON.parse(message.data).interval_s : undefined);
+      if (!heartbeat) this.onRecord(decode(message.data));
     };
     socket.onclose = () => {
       if (this.socket !== socket) return;
@@ -71,6 +85,7 @@ export class WaveformStream {
   close() {
     const socket = this.socket;
     this.socket = null;
+    this.watch.rest();
     // Closing while it connects would complain on the console.
     if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close();
     else socket?.close();

@@ -127,6 +127,8 @@ def revoke_token(path: Path, name: str) -> Token:
     StorageError
         The file cannot be read or written.
     """
+    if not read_tokens(path):
+        raise UsageError(f"there is no token {name[:60]!r} to revoke; {path} holds none")
     with _changing(path) as tokens:
         place = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
         if place is None:
@@ -202,7 +204,11 @@ class KnownTokens:
         except StorageError as error:
             log.error("nobody is let in: %s", error)
             self._tokens, self._asked_for = (), True
-        self._asked_for = self._asked_for or bool(self._tokens)
+        was_asked_for = self._asked_for
+        # The first token left the lock: a file of tokens that is lost opens nothing after a restart.
+        self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
+        if self._asked_for and not was_asked_for and not self._tokens:
+            log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
         self._mark = mark
 
 

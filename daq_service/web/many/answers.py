@@ -7,12 +7,11 @@ from typing import Literal
 from pydantic import Field
 
 from daq_service.catalogue.rows import Severity
+from daq_service.judgement.standing import PositionStatus
 from daq_service.processes.recorder_state import Word
 from daq_service.web.answers.models import Answer, Liveness
 from daq_service.web.many.place import Absence
 from hardware_drivers.methods import Method
-
-PositionWord = Literal["no_data", "learning", "not_judged", "normal", "outlier", "alarm", "retired"]
 
 
 class PositionStanding(Answer):
@@ -21,7 +20,7 @@ class PositionStanding(Answer):
     position: str = Field(description="Its name in the test")
     label: str = Field(description="What a person calls it")
     method: Method = Field(description="How it is measured")
-    state: PositionWord = Field(description="How it stands")
+    state: PositionStatus = Field(description="How it stands")
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
     data_h: float | None = Field(description="Hour of the newest set that was measured, h")
     age_h: float | None = Field(description="Age of that set on the test's clock, h")
@@ -39,7 +38,7 @@ class Standing(Answer):
     recorder: Word = Field(description="How the recorder is")
     wall_age_s: float | None = Field(description="Time since the recorder wrote, s; null: it never did")
     held: str | None = Field(description="Who holds the test and why; null: nobody does")
-    state: PositionWord = Field(description="The gravest state of its positions")
+    state: PositionStatus = Field(description="The gravest state of its positions")
     stale: bool = Field(description="The data of a position are older than the cadence explains")
     active_alarms: int = Field(description="Alarms that are not over, a count")
     highest_severity: Severity | None = Field(description="Of these; null: there are none")

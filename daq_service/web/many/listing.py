@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -15,27 +14,15 @@ from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
 from daq_service.catalogue.reader import Catalogue, LastWord
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.catalogue.store import open_catalogue
-from daq_service.judgement.standing import data_hour, is_stale, state_word
+from daq_service.judgement.standing import PositionStatus, data_hour, is_stale, state_word
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339
-from daq_service.web.many.answers import PositionWord
 from daq_service.web.many.opened import ServedTest, ServedTests
 from daq_service.web.many.place import AbsentError, folder_of, look, reading
 from daq_service.web.routes.info import RIG_LABELS
 
-GRAVITY: tuple[PositionWord, ...] = (
-    "no_data",
-    "normal",
-    "learning",
-    "not_judged",
-    "outlier",
-    "retired",
-    "alarm",
-)
-"""States of positions, the gravest last: an alarm calls for somebody, a retirement was told."""
-assert set(GRAVITY) == set(get_args(PositionWord))
 CHANGING_S = 2.0
 ENDED_S = 60.0
 """So old may an entry be of a test that is recorded, and of one whose files have not changed since."""
@@ -138,7 +125,7 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
         "recorder": fresh.recorder.word,
         "wall_age_s": fresh.wall_age_s,
         "held": catalogue.held(),
-        "state": _gravest([place["state"] for place in positions]),
+        "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),
         "stale": any(place["stale"] for place in positions),
         "active_alarms": len(active),
         "highest_severity": max((row.severity for row in active), key=SEVERITIES.index, default=None),
@@ -156,13 +143,8 @@ def _position(settings: Settings, fresh: Freshness, name: str, word: LastWord) -
         "position": name,
         "label": place.label,
         "method": place.method,
-        "state": state_word(word),
+        "state": state_word(fresh.standing_word(word)),
         "stale": is_stale(settings.schedule, fresh, age_h),
         "data_h": data_h,
         "age_h": age_h,
     }
-
-
-def _gravest(states: Sequence[Any]) -> PositionWord:
-    word: PositionWord = max(states, key=GRAVITY.index)
-    return word

@@ -248,7 +248,7 @@ def _place(
         method=place.method,
         serial_number=place.serial_number,
         last=last,
-        state=state_word(last),
+        state=state_word(fresh.standing_word(last)),
         data_h=data_h,
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),

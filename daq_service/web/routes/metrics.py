@@ -15,17 +15,16 @@ from starlette.responses import Response
 
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
-from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
+from daq_service.judgement.standing import PositionStatus, data_hour, is_stale, limit_of, state_word
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import Word, look_at_recorder
-from daq_service.web.answers.models import PositionState, problems
+from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
 
 probes = APIRouter(tags=["health"])
 S_PER_H = 3600.0
-WORDS = get_args(PositionState.model_fields["state"].annotation)
 
 Sample = tuple[tuple[str, ...], float | None]
 """Values of the labels, and the number; None is left out."""
@@ -153,7 +152,7 @@ def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]
     yield _states(
         *("position_state", "How a position stands"),
         [((name,), state_word(word)) for name, word in words.items()],
-        WORDS,
+        get_args(PositionStatus),
         of_position,
     )
     yield _states(

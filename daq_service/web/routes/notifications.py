@@ -9,15 +9,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 
 from daq_service.errors import BusyError, StorageUnavailableError
+from daq_service.processes.notifications.addresses import shown_address
+from daq_service.processes.notifications.delivery_log import LOG_FILE
+from daq_service.processes.notifications.receiver import ReceiverLine, State, is_dead
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, problems
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.notifications.addresses import shown_address
-from daq_service.web.notifications.delivery_log import LOG_FILE
-from daq_service.web.notifications.receiver import ReceiverLine, State, is_dead
 from daq_service.web.routes.admission import PersonOf, told
 from daq_service.web.routes.listing import CursorText, Limit
 from hardware_drivers.nanoseconds import NS_PER_S

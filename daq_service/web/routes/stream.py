@@ -2,7 +2,8 @@
 
 An event's id is the catalogue's event id, so `Last-Event-ID` resumes across restarts of the
 recorder and of this service. Besides the topics there are `gap` (events between two ids were
-skipped: read the state again over REST) and `bye` (the service ends: connect again).
+skipped: read the state again over REST), `heartbeat` (every `interval_s`; a connection that misses two is
+dead) and `bye` (the service ends: connect again).
 """
 
 from __future__ import annotations
@@ -124,8 +125,11 @@ async def frames(
     hub.clients += 1
     try:
         yield b"retry: %d\n\n" % RETRY_MS
+        heartbeat = b'event: heartbeat\ndata: {"interval_s":%g}\n\n' % hub.heartbeat_interval_s
         while hub.complete_after is None and not hub.closed:
             await hub.changed()
+            if hub.complete_after is None:
+                yield heartbeat
         cursor = hub.last_id if begin is None else begin
         if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
             # Not one that REST told and the hub will see in a moment: it is of another data folder.
@@ -133,7 +137,7 @@ async def frames(
             cursor = hub.last_id
         reason = "it is too long ago"
         loop = asyncio.get_running_loop()
-        sent_at = loop.time()
+        beat_at = loop.time()
         while not hub.closed and may_stay():
             chunk = b""
             start = hub.complete_after or 0
@@ -144,11 +148,11 @@ async def frames(
             if events:
                 cursor = events[-1].id
                 chunk += b"".join(event.frame for event in events if topics is None or event.topic in topics)
-            if not chunk and loop.time() - sent_at >= 0.9 * hub.heartbeat_interval_s:
-                # Keeps proxies from closing, and finds clients that left.
-                chunk = b": heartbeat\n\n"
+            if loop.time() - beat_at >= 0.9 * hub.heartbeat_interval_s:
+                # A real event: a page sees no comments. Finds clients that left, keeps proxies from closing.
+                beat_at = loop.time()
+                chunk += heartbeat
             if chunk:
-                sent_at = loop.time()
                 yield chunk
             if cursor < hub.last_id:
                 await hub.turn()

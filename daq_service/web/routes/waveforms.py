@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import itertools
+import time
 from typing import Annotated, Literal
 
 import numpy as np
@@ -201,8 +202,9 @@ async def live_waveforms(
 ) -> None:
     """Send the newest picture of each chosen position (`positions=B,C`; absent: all) when it changes.
 
-    Each message is one live file's bytes. Only the newest is ever sent: a slow client misses
-    pictures. The guard has checked the Origin before.
+    Each binary message is one live file's bytes; a text message is a heartbeat (``interval_s``), sent where
+    none comes. Only the newest is ever sent: a slow client misses pictures. The guard has checked the Origin
+    before.
     """
     known = context.settings.positions
     chosen = list(known) if positions is None else [part.strip() for part in positions.split(",")]
@@ -214,18 +216,24 @@ async def live_waveforms(
     live.clients += 1
     left = asyncio.create_task(_until_left(websocket))
     seen = dict.fromkeys(chosen, 0)
+    beat_s, sent_s = context.hub.heartbeat_interval_s, time.monotonic()
     try:
         while not left.done() and not live.closed and context.doors.stands(person):
             newer: dict[str, Picture] = live.newer(seen)
             for position, picture in newer.items():
-                seen[position] = picture.version
+                seen[position], sent_s = picture.version, time.monotonic()
                 await websocket.send_bytes(picture.content)
             if not newer:
                 changed = asyncio.ensure_future(live.changed())
                 await asyncio.wait(
-                    {changed, left}, timeout=LOOK_AT_TOKEN_S, return_when=asyncio.FIRST_COMPLETED
+                    {changed, left},
+                    timeout=min(LOOK_AT_TOKEN_S, beat_s),
+                    return_when=asyncio.FIRST_COMPLETED,
                 )
                 changed.cancel()
+                if time.monotonic() - sent_s >= beat_s and not left.done():
+                    sent_s = time.monotonic()
+                    await websocket.send_json({"interval_s": beat_s})
         if not left.done():
             await websocket.close(code=1001, reason="the service ends, or the token opens no more")
     except WebSocketDisconnect:

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 
 import orjson
 
-from daq_service.errors import SolimonError
 from daq_service.web.streams.followed import Followed
 
 log = logging.getLogger(__name__)
@@ -166,8 +165,8 @@ class EventHub(Followed):
                         self._pass_on(self._append, [encode_event(row) for row in rows])
                         pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
                 trouble = ""
-            except SolimonError as error:
-                if str(error) != trouble:
+            except Exception as error:  # noqa: BLE001 - without this thread no page has news
+                if repr(error) != trouble:
                     log.warning("cannot read events: %s", error)
-                trouble, pause_s = str(error), UNREADABLE_INTERVAL_S
+                trouble, pause_s = repr(error), UNREADABLE_INTERVAL_S
             self._stop.wait(pause_s)

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from daq_service.archive.table_file import table_image
 from daq_service.catalogue.told import ToldColumn
 from daq_service.errors import UsageError
+from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.web.tables.choice import Choice, Columns
 
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
@@ -70,6 +71,8 @@ def _cell(value: Any) -> str:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return spreadsheet_cell(value)
     return repr(value) if isinstance(value, float) else str(value)
 
 

@@ -1,5 +1,6 @@
 """Files that processes share: who waits for a moment, who goes on without."""
 
+import itertools
 import os
 from pathlib import Path
 
@@ -109,3 +110,16 @@ def test_buffers_are_written_to_the_last_byte_however_little_a_call_takes(tmp_pa
     finally:
         os.close(descriptor)
     assert (tmp_path / "file").read_bytes() == b"".join(buffers)
+
+
+@pytest.mark.parametrize(
+    ("n_refusals", "options", "n_reports"), [(3, {}, 0), (9, {}, 1), (1, {"report_after_s": 0.0}, 1)]
+)
+def test_a_refusal_that_lasts_is_logged_once_though_a_later_try_succeeds(
+    monkeypatch, caplog, n_refusals, options, n_reports
+):
+    seconds = itertools.count(0.0, 0.25)
+    monkeypatch.setattr(shared_file.time, "monotonic", lambda: next(seconds))
+    call = Refusing(lambda: "done", n_refusals)
+    assert patiently(call, pause=lambda pause_s: None, **options) == "done"
+    assert caplog.text.count("refused, tried again") == n_reports

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from daq_service.settings.file import load_settings
+from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+from hardware_drivers.serial_port.port import open_port
 
 LINE = SerialLineParameters(port="/dev/serial/by-id/usb-FTDI")
 SUPPLY = SupplyParameters(line=LINE, identity="MAKER,MODEL")
@@ -83,3 +85,11 @@ def test_the_tables_of_the_how_to_are_accepted(tmp_path):
     assert rig.supply is not None
     assert rig.supply.line.port == "serial:FT0ABC12"
     assert rig.climate is not None
+
+
+@pytest.mark.parametrize("library", ["/absent/libvisa.so", "@nothing"])
+def test_a_visa_library_that_a_variable_names_in_vain_is_no_question_of_the_cable(monkeypatch, library):
+    pytest.importorskip("pyvisa", reason='needs the extra "solimon[visa]"')
+    monkeypatch.setenv("PYVISA_LIBRARY", library)
+    with pytest.raises(ConfigurationError, match="correct the variable PYVISA_LIBRARY"):
+        open_port(replace(LINE, port="visa:TCPIP::psu.lab::5025::SOCKET"))

@@ -1,7 +1,11 @@
-// One connection to the service's events (SSE): resumes by itself, also after it was refused.
+// One connection to the service's events (SSE): resumes by itself, also after it was refused or is frozen.
+
+import { Watch } from "./watch.js";
 
 const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "annotations", "environment", "service"];
 const RETRY_MS = 1000;
+/** Of the service, unless it states another. */
+export const HEARTBEAT_S = 15;
 
 /**
  * @typedef {{topic: string, id: number, event: any}} News
@@ -20,6 +24,7 @@ export class Source {
     this.isOpen = false;
     /** @type {EventSource | null} */
     this.source = null;
+    this.watch = new Watch(HEARTBEAT_S, () => this.renew());
     this.wake(true);
   }
 
@@ -29,11 +34,21 @@ export class Source {
     if (awake) return this.connect();
     this.source?.close();
     this.source = null;
+    this.watch.rest();
+  }
+
+  /** Replace a connection that is silent. */
+  renew() {
+    this.say(false);
+    this.source?.close();
+    this.connect();
   }
 
   connect() {
+    this.watch.connecting();
     const source = (this.source = new EventSource(`${this.base}/api/v1/stream?after=${this.lastId}`));
-    source.onopen = () => this.say(true);
+    source.onopen = () => this.alive();
+    source.addEventListener("heartbeat", (message) => this.alive(JSON.parse(message.data).interval_s));
     source.onerror = () => {
       this.say(false);
       // A refused connection is final to EventSource: try again from where we are.
@@ -50,6 +65,12 @@ export class Source {
       this.listener.onGap(this.lastId);
     });
     source.addEventListener("bye", () => this.say(false));
+  }
+
+  /** Take in a sign of life. @param {number} [intervalS] */
+  alive(intervalS) {
+    this.watch.alive(intervalS);
+    this.say(true);
   }
 
   /** @param {boolean} open */

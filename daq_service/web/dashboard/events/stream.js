@@ -1,10 +1,13 @@
 // The events of the service, for this page: from the worker that all tabs share, else by its own connection.
 
 import { BASE } from "../api.js";
-import { Source } from "./source.js";
+import { HEARTBEAT_S, Source } from "./source.js";
+import { Watch } from "./watch.js";
 
 /** Changes when what is said between page and worker does: a tab of an older version keeps its own. */
-const NAME = "solimon-events-2";
+const NAME = "solimon-events-3";
+/** Heartbeats without a word of the worker, which notices a frozen connection before that. */
+const MISSED = 3;
 
 export class EventStream {
   /** @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers */
@@ -16,6 +19,7 @@ export class EventStream {
     this.port = null;
     /** @type {Source | null} */
     this.own = null;
+    this.watch = new Watch(HEARTBEAT_S, () => this.renew());
     addEventListener("pagehide", () => this.port?.postMessage({ leave: true }));
     // A page that the browser kept aside comes back: what happened meanwhile is asked for.
     addEventListener("pageshow", (event) => event.persisted && this.join());
@@ -23,6 +27,8 @@ export class EventStream {
     document.addEventListener("visibilitychange", () => {
       this.port?.postMessage({ awake: this.awake });
       this.own?.wake(this.awake);
+      if (!this.awake) this.watch.rest();
+      else if (this.port) this.watch.alive(0, MISSED);
     });
   }
 
@@ -31,7 +37,9 @@ export class EventStream {
   }
 
   join() {
-    this.port?.postMessage({ after: this.lastId, base: BASE, awake: this.awake });
+    if (this.port === null) return;
+    this.watch.alive(0, MISSED);
+    this.port.postMessage({ after: this.lastId, base: BASE, awake: this.awake });
   }
 
   /** @param {number} after id of the last event that the page already shows */
@@ -40,16 +48,28 @@ export class EventStream {
     if (this.started) return;
     this.started = true;
     if (typeof SharedWorker === "undefined") return this.openOwn();
+    this.openShared();
+  }
+
+  openShared() {
     const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: `${NAME} ${BASE}` });
     // A browser that cannot run it says so here.
-    worker.onerror = () => this.port !== null && ((this.port = null), this.openOwn());
+    worker.onerror = () => this.port !== null && ((this.port = null), this.watch.rest(), this.openOwn());
     this.port = worker.port;
     this.port.onmessage = ({ data }) => {
+      this.watch.alive(data.intervalS, MISSED);
       if (data.news) this.hear(data.news);
       else if (data.gap !== undefined) this.miss(data.gap);
       else this.handlers.onState(data.open);
     };
     this.join();
+  }
+
+  /** Leave a worker that is silent for one that is asked for again: the same if it lives. */
+  renew() {
+    this.handlers.onState(false);
+    this.port?.postMessage({ leave: true });
+    this.openShared();
   }
 
   openOwn() {

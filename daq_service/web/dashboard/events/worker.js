@@ -33,10 +33,12 @@ function join(port, after, base) {
         since = id;
         tell({ gap: id });
       },
-      onState: (open) => tell({ open }),
+      onState: (open) => tell({ open, intervalS: source?.watch.intervalS }),
     }, base);
     return;
   }
+  // After a sleep of the computer: what was open may be dead.
+  source.watch.look();
   if (after < since) port.postMessage({ gap: source.lastId });
   else for (const news of kept) if (news.id > after) port.postMessage({ news });
   port.postMessage({ open: source.isOpen });

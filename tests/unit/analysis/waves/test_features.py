@@ -197,6 +197,8 @@ def flagged(name, scene=NOISY):
         )
     elif name == "false_trigger":
         volts = coil_spike(t, 0.3, 2e-6) + 0.01 * np.random.default_rng(3).standard_normal(t.size)
+    elif name == "lost_samples":
+        volts[3000:] = 0.0
     elif name == "double":
         volts += second_strike(scene, 160e-6, 0.8)
     elif name == "disturbed":
@@ -241,7 +243,7 @@ def test_nothing_is_made_up_where_no_wave_came_back():
     }
 
 
-@pytest.mark.parametrize("name", ["missed", "false_trigger", "inverted"])
+@pytest.mark.parametrize("name", ["missed", "false_trigger", "lost_samples", "inverted"])
 def test_only_the_noise_is_known_of_a_strike_that_was_not_found(name):
     shot = extract_features(flagged(name))
     assert {n for n, v in shot.values().items() if not math.isnan(v)} == {"noise_rms_v"}

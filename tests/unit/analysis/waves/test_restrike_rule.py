@@ -17,8 +17,8 @@ from analysis.waves.quality_gate import (
 @pytest.mark.parametrize("flag", FLAGS)
 def test_a_flag_of_the_rule_asks_for_a_restrike_and_no_other_does(flag):
     wants = RestrikeRule().wants((flag,), attempt=0, restrikes_so_far=0)
-    # Neither a false trigger nor a disturbance left a wave: they follow what is said of missed strikes.
-    assert wants == (flag in (*RESTRIKE_FLAGS, "false_trigger", "disturbed"))
+    # None of these left a wave: they follow what is set for missed strikes.
+    assert wants == (flag in (*RESTRIKE_FLAGS, "false_trigger", "lost_samples", "disturbed"))
 
 
 def test_a_false_trigger_is_repeated_where_a_missed_strike_is():

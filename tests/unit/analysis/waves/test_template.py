@@ -8,7 +8,7 @@ import pytest
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.outline import Outline
-from analysis.waves.template import Template, compared, learnt
+from analysis.waves.template import Template, compared, compared_with_others, learnt, without_residue
 
 OWN = Template(
     isw_fwhm_s=65e-6, isw_amplitude_v=2.0, amplitude_ratio=0.5, earliest_tof_s=310e-6, pull_fraction=0.02
@@ -106,3 +106,30 @@ def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
     pulled = replace(SHOT, pull_fraction=0.08)
     for sd, flags in ((0.01, ("disturbed",)), (0.03, ())):
         assert compared(replace(pulled, outline=Outline(points=np.zeros(57), sd=sd)), OWN).flags == flags
+
+
+@pytest.mark.parametrize(
+    ("ratio", "changes", "flags"),
+    [
+        (0.12, {}, ("no_psw",)),  # .24 of the baseline's
+        (0.13, {}, ()),
+        (0.12, {"flags": ("psw_merged",), "quality": "suspect"}, ("no_psw",)),
+        (0.12, {"flags": ("disturbed",), "valid": False, "quality": "bad"}, ("missed", "disturbed")),
+        (0.12, {"compared": True}, ()),  # as it was stored
+        (math.nan, {"flags": ("missed",), "valid": False, "quality": "bad"}, ("missed",)),
+    ],
+)
+def test_a_reflection_weaker_than_any_wall_s_is_none(ratio, changes, flags):
+    shot = replace(SHOT, amplitude_ratio=ratio, **changes)
+    assert without_residue([shot], None) == [shot]
+    (found,) = without_residue([shot], 0.5)
+    assert found.flags == flags
+    if found != shot:
+        assert (found.valid, found.isw_time_s, found.noise_rms_v) == (False, 5e-5, 0.02)
+        assert math.isnan(found.tof_mf_s)
+        assert math.isnan(found.amplitude_ratio)
+
+
+def test_a_residue_shows_in_a_file_of_the_transducer_s_own_waves():
+    shots = [SHOT] * 6 + [replace(SHOT, amplitude_ratio=0.11)]
+    assert [shot.flags for shot in compared_with_others(shots, learnt(shots))] == [()] * 6 + [("no_psw",)]

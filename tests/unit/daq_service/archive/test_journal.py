@@ -31,7 +31,7 @@ RECORDS = make_set().records
 
 @pytest.fixture
 def archive(tmp_path):
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         yield archive
 
 
@@ -121,7 +121,7 @@ def test_segments_go_with_their_last_set(tmp_path):
     """Sets of several segments, segments of several sets."""
     small = 3 * RECORDS[0].waveform.counts.nbytes
     sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         archive._kept = Journal(tmp_path, segment_bytes=small)
         for record in sets:
             begun(archive, record)
@@ -140,14 +140,14 @@ def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
     """A set goes over syncs, segments and a restart; its neighbours need not be read for it."""
     first, second, third = (other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3))
     small = 4 * RECORDS[0].waveform.counts.nbytes
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         archive._kept = Journal(tmp_path, segment_bytes=small)
         archive.store_set(first)
         archive.begin_set(second.set_index, due_utc_ns=second.due_utc_ns, started_utc_ns=1, retired={})
         for item in second.records[:-1]:
             archive.append(item, item.stamp.utc_ns)
             archive.sync()
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         archive.resume_set(archive.open_sets()[second.set_index])
         archive.append(second.records[-1], 1)
         archive.sync()
@@ -253,7 +253,7 @@ def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_p
     content = bytearray(path.read_bytes())
     content[content.find(RECORDS[1].waveform.counts.tobytes()) + 8] ^= 1
     path.write_bytes(content)
-    with closing(FolderArchive(tmp_path, journal=True)) as again:
+    with closing(FolderArchive(tmp_path)) as again:
         (opened,) = again.open_sets().values()
         assert [item.sequence for item in opened.records] == [
             item.sequence for item in RECORDS if item is not RECORDS[1]

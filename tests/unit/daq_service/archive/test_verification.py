@@ -15,9 +15,10 @@ from support.memory_archive import bits
 from daq_service.archive import FolderArchive, SetNotFoundError
 from daq_service.archive.compaction import compact_set
 from daq_service.archive.journal import frames as frame_format
+from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import read_journal, segment_path
 from daq_service.archive.layout import build_image
-from daq_service.archive.verification import check_file, check_journal
+from daq_service.archive.verification import check_file
 
 QUICK = [range(15)]
 # A hundred damages on a machine that does other things.
@@ -120,7 +121,7 @@ def begun(archive, record):
 @pytest.fixture
 def journal(tmp_path):
     """A whole set and an open one."""
-    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+    with closing(FolderArchive(tmp_path)) as archive:
         begun(archive, make_set())
         archive.store_set(make_set())
         begun(archive, other_set(make_set(), SET_INDEX + 1))

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import orjson
 import pytest
+from sqlalchemy import event
 
 from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue
 from daq_service.catalogue.errors import (
@@ -845,6 +846,26 @@ def test_a_writer_that_waits_too_long_says_so(tmp_path, monkeypatch, writer):
     with open_catalogue(tmp_path) as reader, pytest.raises(CatalogueBusyError, match=r"for 0\.01 s"):
         reader.add_command("operator", "stop", {})
     holder.close()
+
+
+def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, monkeypatch, writer):
+    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    waits = []
+
+    @event.listens_for(writer._engine, "before_cursor_execute")
+    def note(connection_, cursor, statement, *rest):
+        if statement.startswith("PRAGMA busy_timeout"):
+            waits.append(int(statement.rpartition(" ")[2]))
+
+    holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
+    holder.execute("BEGIN IMMEDIATE")
+    for _ in range(4):
+        with pytest.raises(CatalogueBusyError):
+            writer.commit_set(commit_of(0))
+    holder.close()
+    writer.commit_set(commit_of(0))
+    writer.commit_set(commit_of(1))
+    assert waits == [10, 0, 0, 0, 0, 10]
 
 
 def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):

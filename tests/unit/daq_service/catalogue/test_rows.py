@@ -9,8 +9,8 @@ from sqlalchemy import JSON, BigInteger, Boolean, Float, Integer, String
 
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
+from daq_service.catalogue.rows import payload_of
 from daq_service.catalogue.tables import ROW_CRC32, metadata, table_of
-from daq_service.judgement.transaction import payload_of
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import with_utc
 

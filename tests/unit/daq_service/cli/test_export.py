@@ -158,7 +158,7 @@ def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
     path = set_files(folder)[2]
     record = read_set(path)
     path.unlink()
-    with closing(FolderArchive(folder, journal=True)) as archive:
+    with closing(FolderArchive(folder)) as archive:
         archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)

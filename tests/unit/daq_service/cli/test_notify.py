@@ -8,7 +8,7 @@ from support.receivers import http_receiver
 from daq_service.cli.inspection import print_configuration
 from daq_service.cli.run import serve_alone
 from daq_service.cli.set_up.notify import run_test
-from daq_service.errors import EXIT_NOT_MET, UsageError
+from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 
 SECRET = "correct-horse-battery-staple"
 
@@ -31,13 +31,11 @@ def config(tmp_path, receiver):
 
 
 def test_a_trial_is_sent_and_its_result_told(config, receiver, capsys):
-    run_test(config=config, receiver=None, as_json=False)
+    assert run_test(config=config, receiver=None, as_json=False) == EXIT_OK
     assert capsys.readouterr().out == f"{'duty':<24} ok      taken (204)\n"
     assert receiver.next().message["kind"] == "test"
     receiver.answers.put((503, {}))
-    with pytest.raises(SystemExit) as end:
-        run_test(config=config, receiver="duty", as_json=True)
-    assert end.value.code == EXIT_NOT_MET
+    assert run_test(config=config, receiver="duty", as_json=True) == EXIT_NOT_MET
     told = json.loads(capsys.readouterr().out)["receivers"]["duty"]
     assert told == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
 

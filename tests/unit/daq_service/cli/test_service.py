@@ -8,6 +8,8 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,11 +18,16 @@ import pytest
 from click.testing import CliRunner
 from support.command_line import solimon_here
 from support.notify_socket import notify_socket
+from support.waiting import ended, until
 
 from daq_service.cli.main import cli
+from daq_service.cli.run import serve_app
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
+from daq_service.processes.heartbeat import WEB_DEADLINE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.file import load_settings
+from daq_service.settings.web import WebSettings
+from daq_service.web.app import create_app
 
 SUPPLY = '[rig.supply]\nidentity = "MAKER"\n[rig.supply.line]\nport = "COM4"\n'
 WITH_SUPPLY = 'name = "50 % \\"wall\\""\n[rig]\nstall_timeout_s = 180.0\n' + SUPPLY
@@ -96,9 +103,9 @@ def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) 
 
 
 def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
-    for word, parsed in units(config).items():
+    for parsed in units(config).values():
         service = parsed["Service"]
-        assert service["Restart"] == ("always" if word == "drive" else "on-failure")
+        assert service["Restart"] == "always"
         assert service["RestartPreventExitStatus"] == str(UsageError.exit_code), "nothing mends it"
         assert service["SuccessExitStatus"] == str(EXIT_INTERRUPTED), "told to stop is no failure"
         assert parsed["Unit"]["StartLimitIntervalSec"] == "0"
@@ -117,6 +124,8 @@ def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
 
 def test_devices_are_left_to_those_who_use_them(config: Path) -> None:
     made = units(config)
+    assert made["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
+    assert made["serve"]["Service"]["Type"] == "notify"
     assert [word for word, parsed in made.items() if "PrivateDevices" in parsed["Service"]] == ["serve"]
     assert {parsed["Service"]["NoNewPrivileges"] for parsed in made.values()} == {"yes"}
 
@@ -185,7 +194,7 @@ def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
     config = tmp_path / "test.toml"
     config.write_text(
         "[schedule]\nend_h = 0.5\nshots_per_set = 1\n[baseline]\nminimum_valid_shots = 1\n"
-        "[plate]\nelements_per_edge = 16\n[storage]\njournal = false\n",
+        "[plate]\nelements_per_edge = 16\n",
         encoding="utf-8",
     )
     with notify_socket(tmp_path) as (environment, heard):
@@ -196,3 +205,22 @@ def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
     assert opening[-1] == "STATUS=opening the rig"
     assert begun == ["READY=1"]
     assert stopping == ["STOPPING=1", "STATUS=stopping"]
+
+
+@pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
+def test_the_event_loop_of_a_web_service_feeds_the_watchdog_of_its_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq_service.web.server.TICKS_OF_A_BEAT", 1)
+    monkeypatch.setattr("daq_service.web.server.collect_garbage_seldom", lambda: None)
+    app = create_app(load_settings(None), tmp_path)
+    with notify_socket(tmp_path) as (environment, heard):
+        monkeypatch.setenv("NOTIFY_SOCKET", environment["NOTIFY_SOCKET"])
+        stop = threading.Event()
+        monkeypatch.setattr("daq_service.cli.run.stop_on_signals", lambda: nullcontext(stop))
+        serving = threading.Thread(target=serve_app, args=(app, WebSettings(), 0))
+        serving.start()
+        until(lambda: len(heard) >= 3, "three beats")
+        stop.set()
+        ended(serving, "the service")
+    assert heard[0] == heard[-1] == ["READY=1", "WATCHDOG=1"]

@@ -151,7 +151,7 @@ def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
     assert line_of(lines, "alarms") == "alarms  1, 1 shelved or out of service"
     assert "shelved until 2024-01-" in line_of(lines, " 1")
     assert "by ann: a known leak" in line_of(lines, " 1")
-    assert not line_of(lines, " B").startswith(" B  alarm")
+    assert line_of(lines, " B").startswith(" B  shelved")
 
 
 def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:

@@ -1,9 +1,10 @@
 """The process of the drive on a scripted supply and a clock that the test moves: also when nobody asks."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -13,10 +14,11 @@ from support.serial_rig import TestClock
 from daq_service.clock import boot_name
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.kept import kept_now, look_at_drive, read_kept, write_kept
-from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action
+from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action, own_supply
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 UNWATCHED_S = 600.0
@@ -345,6 +347,26 @@ def test_told_to_end_it_switches_off(bench: Bench) -> None:
     kept = read_kept(bench.folder)
     assert kept is not None
     assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
+
+
+@pytest.mark.parametrize("ending", [SystemExit(0), KeyboardInterrupt()], ids=repr)
+def test_a_library_that_ends_the_process_does_not_leave_the_output_on(
+    ending: BaseException, tmp_path: Path
+) -> None:
+    class EndsOnce(ScriptedSupply):
+        def read(self, timeout_s: float) -> SupplyReading:
+            if not self.calls:
+                self._call("read")
+                raise ending
+            return super().read(timeout_s)
+
+    supply = EndsOnce(TestClock())
+    supply.on = True
+    with pytest.raises(type(ending)):
+        own_supply(
+            PARAMETERS, tmp_path, lambda: nullcontext(supply), Event(), supply_port="COM4", stays=False
+        )
+    assert not supply.on
 
 
 def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:

@@ -33,6 +33,8 @@ ALARM = AlarmRow(
     message="3 of the last 5 sets at B are outliers",
     proof={},
 )
+SHELVED = replace(ALARM, suppressed="shelved")
+OUT_OF_SERVICE = replace(ALARM, suppressed="out_of_service")
 
 
 def judged(outlier):
@@ -50,6 +52,12 @@ def judged(outlier):
         (SET, judged(False), [ALARM], "alarm"),
         (SET, judged(False), [ALARM, replace(ALARM, kind="hole")], "retired"),
         (SET, judged(True), [], "outlier"),
+        (SET, judged(False), [SHELVED], "shelved"),
+        (ECHO_SET, None, [SHELVED], "shelved"),
+        (SET, judged(True), [SHELVED, OUT_OF_SERVICE], "out_of_service"),
+        (SET, judged(False), [OUT_OF_SERVICE, ALARM], "alarm"),
+        (SET, judged(False), [replace(OUT_OF_SERVICE, kind="retired")], "retired"),
+        (SET, judged(None), [replace(SHELVED, kind="not_judged")], "not_judged"),
         (SET, judged(False), [], "normal"),
         (SET, replace(judged(None), in_baseline=True), [], "learning"),
         (SET, judged(None), [], "not_judged"),

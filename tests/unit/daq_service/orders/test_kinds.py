@@ -211,7 +211,7 @@ def test_nobody_s_order_switches_the_supply_on() -> None:
         ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
         ("retire", {}, "arguments.position: Field required"),
         ("hold", {}, "arguments.note: Field required"),
-        ("hold", {"note": " \t"}, "arguments.note: Value error, say why, for whoever finds the test on hold"),
+        ("hold", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
         ("hold", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
         ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
         ("supply_on", {"voltage_v": True}, "arguments.voltage_v: Input should be a valid number"),

@@ -94,6 +94,22 @@ def test_a_closed_terminal_is_a_polite_stop():
         assert stop.wait(60.0)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no program is started so there")
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
+def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
+    """`nohup solimon run` outlives its terminal; a script's background jobs get no Ctrl-C."""
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with stop_on_signals() as stop:
+            assert signal.getsignal(number) is signal.SIG_IGN
+            signal.raise_signal(signal.SIGTERM if name == "SIGHUP" else signal.SIGHUP)
+            assert stop.wait(60.0), "the others stop it as ever"
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
 @pytest.mark.timeout(60)
 def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
     """Its handler runs in the thread that holds the event's lock, and waits for nobody."""

@@ -12,6 +12,7 @@ from typing import Any, cast
 import pytest
 
 from daq_service.clock import boot_name
+from daq_service.processes.child import ANNOUNCEMENT
 from daq_service.processes.heartbeat import Beat
 from daq_service.processes.supervisor import (
     HEALTHY_AFTER_S,
@@ -38,8 +39,11 @@ class Life:
         after_s: float = 0.0,
         says: Sequence[str] = (),
         leaves_after_s: float | None = 0.0,
+        announces: bool = True,
     ) -> None:
         self.code, self.after_s, self.leaves_after_s = code, after_s, leaves_after_s
+        if announces and code is not None and code >= 0:
+            says = [*says, json.dumps({"event": ANNOUNCEMENT, "code": code})]
         self.stdout = io.BytesIO("".join(f"{line}\n" for line in says).encode())
         self.stdin = io.BytesIO()
         self.pid, self.started_s, self.killed_s = 0, 0.0, None
@@ -100,6 +104,7 @@ class _Process:
     def __init__(self, world: World, life: Life) -> None:
         self._world, self._life = world, life
         self.stdin, self.stdout, self.pid = life.stdin, life.stdout, 4711
+        self.stderr = io.BytesIO()
         life.started_s = world.now_s
 
     def poll(self) -> int | None:
@@ -150,6 +155,23 @@ def test_a_recorder_that_was_told_to_stop_stays_stopped() -> None:
     assert world.run() == 130
     assert len(world.started) == 1
     assert world.messages == [("recorder", {"event": "stopped"})]
+
+
+@pytest.mark.parametrize("code", [0, 2, 3, 4, 5, 130])
+@pytest.mark.parametrize("plan", [RECORDER, WEB])
+def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: int) -> None:
+    """A driver or a vendor's library ended the process: it knows nothing of the test."""
+    world = World(Life(code, after_s=1.0, announces=False), Life(), plans=(plan,), until_s=10.0)
+    assert world.run(stay=True) == 0
+    assert len(world.started) == 2
+    cause = {"cause": f"ended with exit code {code}, which it had not announced", "in_s": RESTART_DELAYS_S[0]}
+    assert world.messages == [(plan.name, {"event": "restarts", **cause})]
+
+
+def test_an_announced_code_counts_also_where_a_library_ends_the_process_afterwards() -> None:
+    ended = json.dumps({"event": ANNOUNCEMENT, "code": 3})
+    assert World(Life(-11, says=[ended])).run() == 3
+    assert World(Life(0, says=[ended], announces=False)).run() == 3
 
 
 @pytest.mark.parametrize("code", [2, 3, 4, 5])
@@ -236,6 +258,19 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
     assert alive.killed_s == pytest.approx(STARTING_GRACE_S / 2 + 100.0, abs=0.101)
     restarts = {"event": "restarts", "cause": world.causes()[1], "in_s": 0.2}
     assert world.messages == [("recorder", told), ("recorder", restarts)], "of two beats alike one is news"
+
+
+def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
+    """It has beaten once, and stops to: its event loop hangs, or somebody stopped its process."""
+    stalled = Life()
+    world = World(stalled, Life(), plans=(WEB,), until_s=60.0)
+    told = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
+    stalled.stdout = io.BytesIO(json.dumps(told).encode() + b"\n")
+    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file says nothing of another process
+    world.run(stay=True)
+    assert stalled.killed_s == pytest.approx(16.0, abs=0.101)
+    assert len(world.started) == 2
+    assert world.running[1].killed_s is None, "one that has not beaten yet is left alone"
 
 
 def test_a_recorder_that_beats_is_left_alone() -> None:

@@ -5,6 +5,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
+from support.filed_archive import FiledArchive
 from support.small_experiment import AtOnce
 
 from daq_service.archive import FolderArchive
@@ -23,7 +24,7 @@ class Broken(Executor):
 
 @pytest.fixture
 def archive(tmp_path):
-    archive = FolderArchive(tmp_path, journal=True)
+    archive = FolderArchive(tmp_path)
     for index in (SET_INDEX, SET_INDEX + 1):
         archive.store_set(other_set(make_set(), index))
     yield archive
@@ -81,7 +82,7 @@ def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
 
 
 def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
-    archive = FolderArchive(tmp_path)
+    archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = Compaction(tmp_path, archive, start=AtOnce)
     making.put(SET_INDEX)
@@ -99,6 +100,7 @@ def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, t
         making.put(index)
     making.try_again()
     assert (len(files(tmp_path)), making.waits) == (1, False)
-    assert "its frame in the journal is damaged" in making.trouble
+    ((_, reason),) = making.damaged.items()
+    assert "its frame in the journal is damaged" in reason
     archive.close()
     assert segment.exists()

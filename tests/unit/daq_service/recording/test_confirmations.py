@@ -198,8 +198,7 @@ def confirmation_of_b(line):
         return confirmation_of(catalogue, "B")
 
 
-@pytest.mark.parametrize("journal", [True, False])
-def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line, journal):
+def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line):
     stop = threading.Event()
 
     def stopping(key):
@@ -208,13 +207,13 @@ def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line, journal
         return sick(*range(FIRST, SETS))(key)
 
     line.script = stopping
-    assert not line.run(stop=stop, archive=MemoryArchive(line.shelf, journal=journal))
+    assert not line.run(stop=stop, archive=MemoryArchive(line.shelf))
     line.script = sick(*range(FIRST, SETS))
-    assert line.run(archive=MemoryArchive(line.shelf, journal=journal))
+    assert line.run(archive=MemoryArchive(line.shelf))
     first, _ = beside(line)
-    assert first.state == ("done" if journal else "partial")
+    assert first.state == "done"
     again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
-    assert again == ([("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)] if journal else [])
+    assert again == [("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)]
     assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
@@ -295,9 +294,9 @@ def test_one_that_a_restart_finds_too_late_is_closed_with_what_it_has(line):
         return sick(*range(FIRST, SETS))(key)
 
     line.script = stopping
-    line.run(stop=stop, archive=MemoryArchive(line.shelf, journal=True))
+    line.run(stop=stop, archive=MemoryArchive(line.shelf))
     line.script = sick(*range(FIRST, SETS))
-    line.run(start_h=9.6, archive=MemoryArchive(line.shelf, journal=True))
+    line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = beside(line)[0]
     assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
     assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
+from support.filed_archive import FiledArchive
 from support.machine import Machine
 from support.memory_line import Line, memory_settings
 from support.small_experiment import AtOnce
 
-from daq_service.archive import FolderArchive
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
 from daq_service.recording import session
@@ -36,7 +36,7 @@ class Reading(AtOnce):
 @pytest.fixture
 def stored(tmp_path):
     """Files of three sets by their references."""
-    archive = FolderArchive(tmp_path)
+    archive = FiledArchive(tmp_path)
     records = [other_set(make_set(), SET_INDEX + n) for n in range(3)]
     return [archive.store_set(record).file for record in records]
 
@@ -46,7 +46,7 @@ class Idle:
 
     def __init__(self, folder, worker=None):
         self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
-        self.compaction = Compaction(folder, FolderArchive(folder), start=lambda: self.worker)
+        self.compaction = Compaction(folder, FiledArchive(folder), start=lambda: self.worker)
         self.trouble, self.noted = None, {}
         self.check = IdleCheck(
             folder, self.compaction, lambda: self.lost, self.sha256_of, self.note, mono_s=lambda: self.now_s

@@ -2,11 +2,13 @@
 
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
+from support.synthetic_records import Scene, waveform_of
 
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
@@ -234,6 +236,37 @@ def test_a_hole_trips_the_drive_at_once_and_once(line):
         assert hour == 2.5
         assert ledger.retired().keys() == {"C"}
         assert drive.rows == 2
+
+
+def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
+    """A transfer that breaks off behind the incident wave leaves no reflected one either."""
+    random = np.random.default_rng(0)
+    volts = Scene(isw_v=1.0).volts() + 0.01 * random.standard_normal(13_000)
+    volts[3_000:] = 0.0
+    lost = waveform_of(volts)
+    line.script = lambda key: lost if key.position == "C" and key.set_index in (3, 4) else healthy(key)
+    with recorded(line, 3) as (ledger, again, records):
+        ledger.drive = drive = Drive()
+        for index in (3, 4):
+            judge(ledger, again, *records[index])
+        assert (drive.trips, ledger.retired()) == ([], {})
+    assert {row.kind for row in line.alarms()} == {"no_data"}
+
+
+def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
+    """Each shot is valid by itself, and all shots of the set are alike."""
+    residue = {"amplitude_ratio": 0.11, "isw_amplitude_v": 2.0, "isw_fwhm_s": 65e-6}
+
+    def script(key):
+        odd = key.position == "C" and key.set_index > 16
+        return replace(healthy(key), **residue) if odd else healthy(key)
+
+    line.script = script
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 9.5, "interval_h": 0.5}]}, baseline={"hours": 8.0}
+    )
+    line.run()
+    assert {(row.position, row.kind) for row in line.alarms()} == {("C", "hole")}
 
 
 def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):

@@ -10,6 +10,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
+from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
 from daq_service.recording.backlog import Backlog
@@ -182,6 +183,26 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
 
 
+def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_cause(line, monkeypatch):
+    line.settings = memory_settings(clock={"kind": "wall"})
+    clock, commit, failures = (
+        SimulatedClock(parse_utc(line.settings.clock.epoch)),
+        RecorderCatalogue.commit_set,
+        iter([True] * 2),
+    )
+
+    def failing(catalogue, transaction):
+        if any(row.set_index == 4 for row in transaction.sets) and next(failures, False):
+            clock.wait_until(clock.utc_ns() + 2 * 1800 * 10**9, lambda: True)
+            raise CatalogueBusyError("database is locked")
+        return commit(catalogue, transaction)
+
+    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    assert line.run(clock=clock, mono_s=Seconds())
+    missed = {row.cause for row in line.rows("sets", "B") if row.state == "missed"}
+    assert missed == {"the recorder waited for the disk: database is locked"}
+
+
 def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
     add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
 
@@ -207,7 +228,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
 class SlowWorker:
     """Finishes a set at every fourth look."""
 
-    trouble = ""
+    trouble, damaged = "", {}
 
     def __init__(self):
         self.n_under_way = self.most = self.looks = 0
@@ -230,9 +251,24 @@ class SlowWorker:
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
     monkeypatch.setattr("daq_service.recording.safekeeping.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
-    assert line.run(archive=MemoryArchive(line.shelf, journal=True), compaction=worker)
+    assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
     assert states(line, "B") == ["done"] * SETS
+
+
+def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_it_first(line, monkeypatch):
+    worker, commit, refusals = SlowWorker(), RecorderCatalogue.commit_set, iter([True] * 3)
+    worker.trouble = "no file can be made"
+
+    def failing(catalogue, transaction):
+        if any(row.kind == "storage_unavailable" for row in transaction.alarms) and next(refusals, False):
+            raise CatalogueBusyError("database is locked")
+        return commit(catalogue, transaction)
+
+    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    assert line.run(compaction=worker, mono_s=Seconds())
+    (alarm,) = [row for row in line.alarms() if row.kind == "storage_unavailable"]
+    assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
 
 
 class Volume:
@@ -271,7 +307,7 @@ def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
 
 def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
     line.settings = memory_settings(clock={"kind": "wall"})
-    volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf, journal=True), []
+    volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf), []
     assert line.run(
         disk=volume.watch(),
         mono_s=Seconds(),
@@ -475,7 +511,7 @@ def test_a_rig_that_has_worked_costs_sets_and_not_the_test_whatever_it_says(line
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
 
-def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
+def test_a_stop_leaves_the_set_open_and_the_rest_is_due_again(line):
     stop = threading.Event()
 
     def script(key):
@@ -485,25 +521,20 @@ def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
 
     line.script = script
     assert not line.run(stop=stop)
-    assert [states(line, position) for position in "BCD"] == [
-        ["done", "done"],
-        ["done", "partial"],
-        ["done", "missed"],
-    ]
-    assert causes(line, "D")[1] == "the recorder was told to stop"
+    assert [states(line, position) for position in "BCD"] == [["done"]] * 3
     assert line.rows("events")[-1].kind == "recorder_stopped"
     line.script = healthy
     assert line.run()
-    assert len(line.rows("sets", "B")) == SETS
+    assert states(line, "D") == ["done"] * SETS
 
 
 def stopped_in_a_set(line, key, **options):
     """Run with a journal until a shot, after which a stop or a kill comes."""
-    archive, stop = MemoryArchive(line.shelf, journal=True), threading.Event()
+    archive, stop = MemoryArchive(line.shelf), threading.Event()
     line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
     assert not line.run(stop=stop, archive=archive, **options)
     line.script = healthy
-    return MemoryArchive(line.shelf, journal=True)
+    return MemoryArchive(line.shelf)
 
 
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
@@ -561,11 +592,11 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
     line.script = script
     with pytest.raises(Killed):
-        line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+        line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
     (opened,) = line.shelf.open.values()
     assert [item.sequence for item in opened.records] == told == [1, 2, 3]
     line.script = healthy
-    assert line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
     assert told == sorted(set(told))
     assert len(told) == len(line.rows("shots"))
     assert states(line, "B") == ["done"] * SETS
@@ -574,7 +605,7 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
     """A set of the paper takes two minutes: nobody should wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
-    archive, told = MemoryArchive(line.shelf, journal=True), []
+    archive, told = MemoryArchive(line.shelf), []
     sync, refusals = archive.sync, iter([True] * 4)
 
     def refusing():

@@ -35,7 +35,7 @@ class Line:
 
     def __init__(self, folder):
         self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
-        self.archive = FolderArchive(folder, journal=True)
+        self.archive = FolderArchive(folder)
         self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
         self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
         self.compaction = Compaction(

@@ -147,3 +147,15 @@ def test_what_is_done_is_told_in_one_line() -> None:
         "EXTEND_TIMEOUT_USEC=1500000",
         "STATUS=waiting for the rig: WATCHDOG=trigger",
     )
+
+
+def test_a_manager_of_another_program_is_sent_nothing(
+    manager: Manager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shell that a service started (Jupyter, tmux) hands its notify socket on."""
+    monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
+    notify("STOPPING=1")
+    monkeypatch.setenv("SYSTEMD_EXEC_PID", str(os.getpid()))
+    notify("READY=1")
+    manager.hear()
+    assert [lines for _, lines in manager.heard] == [["READY=1"]]

@@ -6,9 +6,10 @@ from pathlib import Path
 import h5py
 import pytest
 from support.archived_sets import DUE_UTC_NS, SET_INDEX, assert_same_waveform, make_set, make_shot, other_set
+from support.filed_archive import FiledArchive
 from support.labview_files import write_set
 
-from daq_service.archive import FolderArchive, FolderSetReader, PositionRecord, SetRecord
+from daq_service.archive import FolderSetReader, PositionRecord, SetRecord
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.rig.playback import ArchivedShots, open_recording, playback_instruments
@@ -20,7 +21,7 @@ HOUR_NS = 3_600_000_000_000
 
 
 def stored(folder, *sets):
-    archive = FolderArchive(folder)
+    archive = FiledArchive(folder)
     for record in sets:
         archive.store_set(record)
     return sorted((folder / "sets").iterdir())

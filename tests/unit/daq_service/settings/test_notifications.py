@@ -46,6 +46,10 @@ def test_who_is_told_changes_no_test(tmp_path):
         ({"secret": HIDDEN}, "unknown key; did you mean secret_"),
         ({"kind": "apprise"}, "an address of apprise holds a password"),
         ({"kind": "apprise", "url": "", "url_env": "MAIL"}, "are a webhook.s; take them out"),
+        (
+            {"kind": "apprise", "url": "", "url_env": "MAIL", "secret_file": "", "heartbeat_s": 3599.0},
+            "heartbeat_s = 3599 is below 3600, the minimum for e-mail and chat. Give 3600 or more",
+        ),
         ({"heartbeat_s": 1.0}, "greater than or equal to 10"),
     ],
 )
@@ -59,6 +63,14 @@ def test_plain_http_is_for_this_machine_or_asked_for_by_name(tmp_path):
     for url, allowed in (("http://127.0.0.1:8000/", False), ("http://alarms.example.org/", True)):
         made = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
         assert made.notifications.receivers["duty"].url == url
+
+
+def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_unasked(tmp_path):
+    mail = {"kind": "apprise", "url_env": "MAIL"}
+    for receiver, wanted in ((DUTY, 10.0), (mail, 3600.0)):
+        for given in ({}, {"heartbeat_s": wanted}):
+            (made,) = settings(tmp_path, receiver | given).notifications.receivers.values()
+            assert made.heartbeat_s == given.get("heartbeat_s")
 
 
 @pytest.mark.parametrize(

@@ -210,3 +210,21 @@ def test_delays_of_alarms_change_no_test() -> None:
     assert settings.configuration_hash() == Settings().configuration_hash()
     stored = Settings().model_dump(mode="json")
     assert differences(stored, settings) == differences(settings.model_dump(mode="json"), Settings()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("test.toml", "[storage]\njournal = false\nmemory_mb = 77\n"),
+        ("test.json", '{"storage": {"journal": false, "memory_mb": 77}}'),
+    ],
+)
+def test_a_file_with_the_key_storage_journal_loads_with_a_warning(tmp_path, caplog, name, text):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    assert load_settings(path).storage.memory_mb == 77
+    assert "storage.journal is ignored" in caplog.text
+    caplog.clear()
+    path.write_text(text.replace("false", "true"), encoding="utf-8")
+    assert "journal" not in load_settings(path).storage.model_dump()
+    assert caplog.text == "", "what every folder of today holds"

@@ -1,14 +1,16 @@
 """Who is told of which alarm and when; what a restart knows; what a dead receiver costs."""
 
 import logging
+from itertools import pairwise
 
 import pytest
 from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
-from daq_service.web.notifications.messages import MOST_TOLD
-from daq_service.web.notifications.receiver import MOST_REFUSALS, is_dead
-from daq_service.web.notifications.webhook import Outcome
+from daq_service.processes.notifications import receiver as receiver_module
+from daq_service.processes.notifications.messages import MOST_TOLD
+from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
+from daq_service.processes.notifications.webhook import Outcome
 from hardware_drivers.nanoseconds import NS_PER_S
 
 AT_ONCE = {"group_s": 0.0}
@@ -256,7 +258,7 @@ def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
 def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
     bench = made()
     monkeypatch.setattr(
-        "daq_service.web.notifications.delivery_log.append_line",
+        "daq_service.processes.notifications.delivery_log.append_line",
         lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
     )
     bench.alarms.change("disk_space", position=None, family="device")
@@ -320,8 +322,8 @@ def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
 
 
 def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(made, monkeypatch):
-    monkeypatch.setattr("daq_service.web.notifications.receiver.MOST_WAITING", 20)
-    monkeypatch.setattr("daq_service.web.notifications.receiver.PAGE_EVENTS", 10)
+    monkeypatch.setattr("daq_service.processes.notifications.receiver.MOST_WAITING", 20)
+    monkeypatch.setattr("daq_service.processes.notifications.receiver.PAGE_EVENTS", 10)
     bench = made(group_s=1.0)
     bench.outcomes += [DEAD] * 8
     bench.alarms.change()
@@ -359,6 +361,19 @@ def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, mo
     assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
 
 
+def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypatch):
+    mail = {"kind": "apprise", "url": "", "url_env": "MAIL", "secret_env": "", "heartbeat_s": 3600.0}
+    bench = made(receiver=mail)
+    facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
+    sent_s = []
+    for pause_s in (1.0, 600.0, 600.0, 3600.0, 1800.0):
+        monkeypatch.setattr(bench.restarted()._source, "signs_of_life", lambda: facts)
+        sent_s += [bench.mono_s] * len(bench.run())
+        bench.mono_s += pause_s
+        sent_s += [bench.mono_s] * len(bench.run())
+    assert [round(after - before) for before, after in pairwise(sent_s)] == [4801]
+
+
 def test_a_catalogue_that_cannot_be_read_now_stops_nothing_for_good(made, monkeypatch):
     bench = made()
     bench.alarms.change()
@@ -382,3 +397,26 @@ def test_a_trial_says_so_and_moves_no_cursor(made):
     assert message.title.startswith("TEST, no alarm")
     assert message.text.startswith("ann tries whether duty is reached")
     assert len(bench.run()) == 1
+
+
+def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(made, monkeypatch, caplog):
+    bench = made()
+    outcomes = iter([LookupError("mailto://ann:secret@host"), RecursionError(), None])
+    send = bench.line._send
+
+    def fail(message):
+        error = next(outcomes)
+        if error is not None:
+            raise error
+        return send(message)
+
+    monkeypatch.setattr(bench.line, "_send", fail)
+    unreadable, readable = bench.alarms.change("hole"), bench.alarms.change("no_data")
+    read = receiver_module.news_of
+    monkeypatch.setattr(
+        receiver_module, "news_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+    )
+    assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
+    assert bench.told("sent")[0].event_ids == [readable]
+    assert [line.told for line in bench.told("failing")] == ["it could not be sent (LookupError)"]
+    assert f"event {unreadable} cannot be read and is not sent" in caplog.text

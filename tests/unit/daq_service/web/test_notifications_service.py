@@ -13,12 +13,11 @@ from support.waiting import WAIT_S, ended, until
 
 from daq_service.alarms.states import Change, Condition, Moment, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EventRow
-from daq_service.judgement.transaction import payload_of
+from daq_service.catalogue.rows import EventRow, payload_of
 from daq_service.processes.data_folder import BACKUP_FILE
+from daq_service.processes.notifications.delivery_log import LOG_FILE, DeliveryLog
+from daq_service.processes.notifications.webhook import Bounds
 from daq_service.settings.file import load_settings
-from daq_service.web.notifications.delivery_log import LOG_FILE, DeliveryLog
-from daq_service.web.notifications.webhook import Bounds
 
 SECRET = "correct-horse-battery-staple"
 STATE = "/api/v1/notifications"
@@ -139,7 +138,7 @@ def test_a_backup_tells_nobody(filled, receiver):
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
     """It is waited for longer than this test waits for anything: what it held would fail the test."""
     patient = Bounds(read_s=10.0 * WAIT_S, whole_s=10.0 * WAIT_S)
-    monkeypatch.setattr("daq_service.web.notifications.service.Bounds", lambda: patient)
+    monkeypatch.setattr("daq_service.processes.notifications.service.Bounds", lambda: patient)
     with http_receiver() as deaf, ExitStack() as stack:
         deaf.silent.set()
         named = {
@@ -167,7 +166,7 @@ def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, recei
 
 
 def test_a_second_service_of_a_test_sends_nothing_until_the_first_has_ended(filled, receiver, monkeypatch):
-    monkeypatch.setattr("daq_service.web.notifications.service.TROUBLE_PAUSE_S", 0.05)
+    monkeypatch.setattr("daq_service.processes.notifications.service.TROUBLE_PAUSE_S", 0.05)
     with ExitStack() as stack:
         first = stack.enter_context(served(filled.settings, filled.folder))
         begun(stack.enter_context(first.client()))

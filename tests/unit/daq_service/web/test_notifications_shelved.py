@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.judgement.transaction import payload_of
-from daq_service.web.notifications.messages import news_of
+from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.processes.notifications.messages import news_of
 
 ROW = AlarmRow(
     id=3,

@@ -16,11 +16,11 @@ from support.told_alarms import notifying
 from support.waiting import happened
 
 from daq_service.errors import UsageError
+from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
+from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.messages import Message
+from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 from daq_service.settings.notifications import ReceiverSettings
-from daq_service.web.notifications.addresses import Address, address_of, refuse_unusable, shown_address
-from daq_service.web.notifications.by_apprise import notify
-from daq_service.web.notifications.messages import Message
-from daq_service.web.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
 SECRET = "correct-horse-battery-staple"
@@ -214,7 +214,9 @@ def test_a_start_refuses_what_could_not_be_told(monkeypatch):
     with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
         refuse_unusable(notifying({"mail": mail}).notifications)
     monkeypatch.setenv("DUTY_SECRET", SECRET)
-    with pytest.raises(UsageError, match=r"rule 1: there is no kind of alarm 'wall_chance'; there are clock"):
+    with pytest.raises(
+        UsageError, match=r"rule 1: there is no kind of alarm 'wall_chance'; there are climate"
+    ):
         refuse_unusable(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
 
 
@@ -234,3 +236,36 @@ def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkey
     pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Mon, 01 Jan 99999999999999999999 00:00:00 GMT",
+        "Mon, 01 Jan 2024 00:00:00 +99999999999999999999",
+        "Mon, 99 Jan 2024 00:00:00 GMT",
+        "9" * 5000,
+        "\N{SUPERSCRIPT TWO}",
+        "-1",
+        "soon",
+        "",
+    ],
+)
+def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
+    receiver.answers.put((503, {"Retry-After": header}))
+    outcome = sent(receiver)
+    assert (outcome.ok, outcome.status) == (False, 503)
+    assert 0.0 <= outcome.retry_after_s <= LONGEST_RETRY_AFTER_S
+
+
+@pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
+def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatch, tmp_path):
+    pool = ThreadPoolExecutor()
+    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{own}", pool)
+    (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    assert notify(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
+    pool.shutdown()
+    assert "Authorization" not in receiver.next().headers

@@ -107,7 +107,7 @@ def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
     assert told == ("unacknowledged", "shelved", "Ada")
     assert alarm["shelved_until_utc"] == "2024-01-01T09:00:00Z"
     place = api.get("/api/v1/transducers/B").json()
-    assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "learning")
+    assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "shelved")
     assert place["shelved_until_utc"] == "2024-01-01T09:00:00Z"
     assert 'state="unacknowledged",suppressed="shelved"} 1' in api.get("/metrics").text
     assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "done"

@@ -208,12 +208,14 @@ def test_the_supply_is_told_as_its_process_keeps_it_with_its_age(api, filled):
         (filled.folder / DRIVE_FILE).unlink()
     assert models.SupplyNow.model_validate(now)
     assert now.pop("age_s") >= 2.0
+    assert now.pop("written_age_s") >= 0.0
     assert now == {
         "state": "unknown",
         "quality": "lost",
         "last": "off",
         "tripped": "hole at B",
         "unwatched": False,
+        "switch_off_pending": False,
         "process": False,
     }
 

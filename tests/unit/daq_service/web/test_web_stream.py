@@ -8,12 +8,15 @@ import pytest
 from support.filled_folder import FilledFolder
 from support.served_web import DEADLINE_S, served, served_app, stream_events, take
 
+from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import Context
 from daq_service.web.guards import RequestGuard
 from daq_service.web.routes.stream import frames, gap_frame
 from daq_service.web.streams.hub import EventHub, encode_event
+
+HEARTBEAT = b'event: heartbeat\ndata: {"interval_s":0.02}\n\n'
 
 
 @pytest.fixture
@@ -203,13 +206,66 @@ def test_quiet_stream_beats(tmp_path):
     async def body(source, context, hub):
         client = frames(context, hub, frozenset({"alarms"}), None)
         await anext(client)
-        assert await anext(client) == b": heartbeat\n\n"
+        assert await anext(client) == HEARTBEAT
         # Events of other topics do not keep it from beating.
         source.add(3)
-        assert await anext(client) == b": heartbeat\n\n"
+        assert await anext(client) == HEARTBEAT
         await client.aclose()
 
     run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
+
+
+def test_a_busy_stream_beats_too(tmp_path):
+    """A page counts heartbeats, not events: it does not know every topic."""
+
+    async def body(source, context, hub):
+        client, chunks = frames(context, hub, None, 1), []
+        await anext(client)
+        while b"".join(chunks).count(HEARTBEAT) < 3:
+            source.add(1)
+            chunks.append(await anext(client))
+        assert b"event: sets" in b"".join(chunks)
+        await client.aclose()
+
+    run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
+
+
+def test_a_stream_beats_before_the_catalogue_can_be_read(tmp_path):
+    class Unreadable(InventedEvents):
+        def last_id(self):
+            raise StorageError("locked")
+
+    async def body():
+        hub = EventHub(Unreadable(), heartbeat_interval_s=0.02)
+        await hub.start()
+        client = frames(Context(Settings(), tmp_path), hub, None, None)
+        await anext(client)
+        async with asyncio.timeout(DEADLINE_S):
+            assert await anext(client) == HEARTBEAT
+        await client.aclose()
+        hub.close()
+        await hub.join()
+
+    asyncio.run(body())
+
+
+def test_no_error_of_the_source_ends_the_tail(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("daq_service.web.streams.hub.UNREADABLE_INTERVAL_S", 0.0)
+
+    async def body(source, context, hub):
+        errors, after = [ValueError("no JSON"), KeyError("payload"), RecursionError()], source.after
+
+        def fail(event_id, limit):
+            if errors and event_id:
+                raise errors.pop()
+            return after(event_id, limit)
+
+        source.after = fail
+        source.add(1)
+        await hub_reached(hub, 2)
+
+    run_with_hub(tmp_path, body)
+    assert caplog.text.count("cannot read events") == 3
 
 
 def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
@@ -222,7 +278,7 @@ def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
         client = frames(context, hub, None, 4)
         await anext(client)
         # The tail sleeps for a minute: the first thing to hear is the heartbeat, not a gap.
-        assert await anext(client) == b": heartbeat\n\n"
+        assert await anext(client) == HEARTBEAT
         await client.aclose()
 
     run_with_hub(tmp_path, body, poll_interval_s=60.0, heartbeat_interval_s=0.02)

@@ -228,6 +228,13 @@ def test_websocket_sends_the_newest_picture_of_each_position(filled, service):
         assert counts.size == 13_000
 
 
+def test_websocket_beats_as_text_where_no_picture_comes(service, monkeypatch):
+    monkeypatch.setattr(service.app.state.context.hub, "heartbeat_interval_s", 0.05)
+    with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=C") as socket:
+        assert isinstance(socket.recv(timeout=DEADLINE_S), bytes)
+        assert [socket.recv(timeout=DEADLINE_S) for _ in range(2)] == ['{"interval_s":0.05}'] * 2
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
 def test_websocket_of_another_origin_is_refused(service, origin):
     with (

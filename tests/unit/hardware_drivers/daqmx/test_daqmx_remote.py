@@ -1,10 +1,15 @@
-"""The channel to a remote chassis whose server was away."""
+"""The channel to a remote chassis: whose server was away, past web proxies, with gRPC's own reasons."""
 
+import socket
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 import pytest
 from support.daqmx_rig import Forwarder
+
+from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
+from hardware_drivers.errors import ConnectionLostError
 
 grpc = pytest.importorskip("grpc")
 
@@ -41,3 +46,52 @@ def test_a_new_channel_reaches_a_server_that_is_back_at_once():
         new = channel_to(forwarder.address)
         stack.callback(new.close)
         assert answer(new) is grpc.StatusCode.UNIMPLEMENTED
+
+
+PROXY_VARIABLES = ("http_proxy", "https_proxy", "grpc_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY")
+
+
+def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
+    for variable in PROXY_VARIABLES:
+        monkeypatch.setenv(variable, f"http://{NOBODY}")
+    monkeypatch.setenv("GRPC_ADDRESS_HTTP_PROXY", NOBODY)
+    monkeypatch.setenv("GRPC_ADDRESS_HTTP_PROXY_ENABLED_ADDRESSES", "127.0.0.0/8")
+    with ExitStack() as stack:
+        server = grpc.server(stack.enter_context(ThreadPoolExecutor(1)))
+        port = server.add_insecure_port("127.0.0.1:0")
+        server.start()
+        stack.callback(lambda: server.stop(None).wait())
+        channel = channel_to(f"127.0.0.1:{port}")
+        stack.callback(channel.close)
+        assert answer(channel) is grpc.StatusCode.UNIMPLEMENTED
+
+
+@pytest.mark.parametrize(
+    ("address", "reason"),
+    [
+        (NOBODY, "Connection refused"),
+        (f"{'x' * 64}.lab:31763", "errors resolving x"),
+        (None, "Deadline Exceeded"),
+    ],
+)
+def test_the_reason_of_grpc_is_in_the_message_and_what_doctor_finds(address, reason):
+    """NI's package has one text for whatever makes a server unavailable."""
+    pytest.importorskip("nidaqmx")
+    from hardware_drivers.daqmx.survey import survey
+
+    with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes connections and answers nothing
+        given = address or "{}:{}".format(*silent.getsockname())
+        wiring = {"B": TransducerWiring(board_serial="1")}
+        parameters = DaqmxParameters(
+            transducers=wiring,
+            transport="grpc",
+            grpc_address=given,
+            call_timeout_s=0.1 if address is None else 5.0,
+        )
+        connection = Connection(parameters)
+        with pytest.raises(ConnectionLostError, match=reason):
+            connection.driver_version()
+        connection.close()
+        (finding,) = survey(parameters).findings
+    assert (finding.subject, finding.state) == ("driver", "fail")
+    assert reason in finding.detail

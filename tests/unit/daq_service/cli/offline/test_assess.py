@@ -68,6 +68,8 @@ def test_every_format_says_the_same(tables):
     (arrow,) = told(tables[".parquet"], "--baseline-where", "part=healthy")
     assert set(npy) >= TOLD
     assert set(npy["limits"]) == set(npy["count"]) == set(npy["first"]) == LIMITS
+    assert csv_.pop("columns_assessed") == arrow.pop("columns_assessed") == NAMES
+    assert npy.pop("columns_assessed") == [*"01234"]
     for other in (csv_, arrow):
         assert {**other, "file": ""} == {**npy, "file": ""}
     assert 90 <= npy["alarm"]["rows"][0] < 120
@@ -384,3 +386,170 @@ def test_sensors_of_a_fleet_have_the_same_features(tmp_path):
     assert "b.npy has the features 0, 1" in refused(
         tmp_path / "a.npy", tmp_path / "b.npy", "--baseline-rows", 20, "--fleet"
     )
+
+
+def written(path, columns, separator=",", **options):
+    """A table of other people: cells as texts."""
+    rows = [separator.join(map(str, row)) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([separator.join(columns), *rows]), **{"encoding": "utf-8", **options})
+    return path
+
+
+def first_two(vectors):
+    return {"a": vectors[:, 0].tolist(), "b": vectors[:, 1].tolist()}
+
+
+@pytest.mark.parametrize(
+    ("separator", "cell"),
+    [
+        (",", "338.20 us"),
+        (",", "338.2us"),
+        (",", "50.2%"),
+        (",", "\u22121.5"),
+        (",", "<5"),
+        (",", "'338.2"),
+        (",", "(3.2)"),
+        (",", "338.2 \u00b1 0.3"),
+        (",", '"1,234.5"'),
+        (",", "1 234.5"),
+        (",", "1.5D-03"),
+        (";", "338.201,4"),
+        (";", "1'234,5"),
+        ("\t", "1,234.5"),
+    ],
+)
+@pytest.mark.parametrize("first", [0, 60])
+def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
+    tmp_path, vectors, separator, cell, first
+):
+    columns = first_two(vectors)
+    columns["b"][first:] = [cell] * (120 - first)
+    (bad,) = told(written(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
+    shown = cell.strip('"')
+    assert f"a.csv: column 'b' holds {shown!r} in row {first}, nearly a number" in bad["refused"]
+    assert "write the number alone" in bad["refused"]
+    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
+    assert found["refused"] is None
+    if not first:
+        words = refused(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
+        assert words.endswith("in row 0: write the number alone, or choose others")
+
+
+def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vectors):
+    for column in (pa.array([338_200] * 120, pa.duration("ns")), pa.array(["338.20 us"] * 120)):
+        parquet.write_table(pa.table({"a": vectors[:, 0], "b": column}), tmp_path / "a.parquet")
+        (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 40)
+        assert "a.parquet: column 'b' holds " in bad["refused"]
+
+
+def test_thousands_and_decimals_with_the_same_mark_are_refused(tmp_path, vectors):
+    columns = first_two(vectors)
+    columns["b"][:] = ["338.2"] * 60 + ["1,338"] * 60
+    (bad,) = told(written(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
+    assert "column 'b' holds '1,338' in row 60, nearly a number" in bad["refused"]
+
+
+LEFT_OUT = {
+    "note": (["wet", *["-"] * 119], "most of its cells are no numbers", "wet"),
+    "Index": ([7] * 120, "by its name an index, a time or an identifier", "7"),
+    "sensor_id": ([7] * 120, "by its name an index, a time or an identifier", "7"),
+    "Time [s]": ([7] * 120, "by its name an index, a time or an identifier", "7"),
+    "when": (["2026-11-26 13:05"] * 120, "most of its cells are no numbers", "2026-11-26 13:05"),
+    "day": (["26.11.2026"] * 120, "by its name an index, a time or an identifier", "26.11.2026"),
+    "clock": (["13:05:10"] * 120, "most of its cells are no numbers", "13:05:10"),
+    "part": (["0012", "0007"] * 60, "identifiers: whole numbers that begin with 0", "0012"),
+    "place": (["1_2"] * 120, "most of its cells are no numbers", "1_2"),
+    "hash": (["3f2a", "12e3", "b7c0"] * 40, "most of its cells are no numbers", "3f2a"),
+    "version": (["1.2.3"] * 120, "most of its cells are no numbers", "1.2.3"),
+    "uptime": (
+        [k * k for k in range(120)],
+        "it only rises or only falls, as an index or a time does",
+        "0",
+    ),
+    "stamp": (
+        [1_700_000_000 - k // 2 for k in range(120)],
+        "it only rises or only falls, as an index or a time does",
+        "1700000000",
+    ),
+    "": ([3] * 120, "it has no name", "3"),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_path, vectors, name):
+    cells, reason, cell = LEFT_OUT[name]
+    path = written(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
+    (found,) = told(path, "--baseline-rows", 40)
+    assert found["columns_assessed"] == ["a", "b"]
+    assert found["columns_left_out"] == [{"name": name, "reason": reason, "row": 0, "cell": cell}]
+    words = run(path, "--baseline-rows", 40).output.splitlines()
+    assert f"  left out   {name!r}: {reason} ({cell!r} in row 0)" in words
+    assert "  columns    a, b" in words
+
+
+def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
+    path = written(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
+    (found,) = told(path, "--baseline-rows", 40, "--features", "hour,a")
+    assert found["columns_assessed"] == ["hour", "a"]
+    assert found["columns_left_out"] == []
+
+
+@pytest.mark.parametrize(
+    "cell", ["9.9E37", "-9.91E+37", "9.90000000E+37", "1e38", "OVLD", "-OL", "-999", "Inf"]
+)
+def test_an_instrument_s_overload_is_a_missing_value(tmp_path, vectors, cell):
+    columns = first_two(vectors)
+    columns["b"][5] = columns["b"][70] = cell
+    (found,) = told(written(tmp_path / "a.csv", columns), "--baseline-rows", 40)
+    assert (found["n"], [one["row"] for one in found["left_out"]]) == (39, [5, 70])
+
+
+def test_an_overload_in_an_array_is_a_missing_value(tmp_path, vectors):
+    vectors[5, 1] = 9.91e37
+    np.save(tmp_path / "a.npy", vectors.astype(np.float32))
+    (found,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
+    assert [one["row"] for one in found["left_out"]] == [5]
+
+
+def semicolons(text):
+    return text.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    ("changed", "encoding"),
+    [
+        (lambda text: text.replace("\n", ",\n") + ",", "utf-8"),  # a separator at each line's end
+        (lambda text: "a,b\n" + text.partition("\n")[2].replace("\n", ",\n") + ",", "utf-8"),  # of rows only
+        (lambda text: text.replace("a,b", "a,b,,", 1), "utf-8"),  # of names only: rows have fewer cells
+        (lambda text: text + "\n,\n,,\n", "utf-8"),  # emptied rows of a spreadsheet
+        (lambda text: "sep=;\n" + semicolons(text), "utf-8-sig"),
+        (lambda text: text.replace(",", "\t"), "utf-16"),
+        (lambda text: text, "utf-16-le"),
+        (lambda text: text.replace("a,b", "a,b\ns,V", 1), "utf-8"),  # units
+        (lambda text: text.replace("a,b", "a,b\n[s],", 1), "utf-8"),
+    ],
+)
+def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, changed, encoding):
+    plain = written(tmp_path / "a.csv", first_two(vectors))
+    (tmp_path / "b.csv").write_text(changed(plain.read_text(encoding="utf-8")), encoding=encoding)
+    expected, found = told(plain, tmp_path / "b.csv", "--baseline-rows", 40)
+    assert {**found, "file": ""} == {**expected, "file": ""}
+
+
+@pytest.mark.parametrize(
+    ("header", "last", "words"),
+    [
+        ("x,a,b", "Mean,0.1,0.2", "the last row is 'Mean' of the others, not a set: take it out"),
+        ("x,a,b", "Total:,0.1,", "the last row is 'Total:' of the others, not a set"),
+        (
+            "Rig 3,,\nx,a,b",
+            "wet,0.1,0.2",
+            "row 0 (x,a,b) names columns without a name: keep one such row",
+        ),
+    ],
+)
+def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, words):
+    rows = [f"dry,{a},{b}" for a, b, *_ in vectors.tolist()]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows, last]), encoding="utf-8")
+    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    assert words in bad["refused"]

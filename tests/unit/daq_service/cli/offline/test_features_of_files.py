@@ -2,9 +2,11 @@
 
 import json
 
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from support.labview_files import polynomial, write
 from support.synthetic_records import CALIBRATION, Scene, cos4
 
 from analysis.waves.features import ALL_FEATURE_NAMES, EXTRACTOR_VERSION, extract_features
@@ -244,6 +246,45 @@ def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, conte
     assert words in refused(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("changed", "encoding"),
+    [
+        (lambda lines: [line + "," for line in lines], "utf-8"),  # separators at line ends
+        (lambda lines: ["sep=;", *(line.replace(",", ";").replace(".", ",") for line in lines)], "utf-8-sig"),
+        (lambda lines: [line.replace(",", "\t") for line in lines], "utf-16"),
+        (lambda lines: [",".join(map(str, range(13_000))), *lines], "utf-8"),  # columns' numbers
+        (
+            lambda lines: (
+                ["," + ",".join(map(str, range(13_000)))] + [f"{k},{v}" for k, v in enumerate(lines)]
+            ),
+            "utf-8",
+        ),
+    ],
+)
+def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, encoding):
+    lines = [",".join(f"{v:.4f}" for v in record) for record in volts(n=3)]
+    for name, content, code in (("a.csv", lines, "utf-8"), ("b.csv", changed(lines), encoding)):
+        (tmp_path / name).write_text("\n".join(content), encoding=code)
+    expected, found = told(tmp_path / "a.csv"), told(tmp_path / "b.csv")
+    assert [{**row, "file": ""} for row in found] == [{**row, "file": ""} for row in expected]
+    assert [row["flags"] for row in found] == [[]] * 3
+
+
+@pytest.mark.parametrize("overload", [9.9e37, -9.91e37, 1e38, np.inf])
+def test_an_overload_costs_its_record_only(tmp_path, overload):
+    values = volts(n=4)
+    values[1, 1_500:1_600] = overload
+    rows = told(saved(tmp_path, values))
+    assert [row["flags"] for row in rows] == [[], ["disturbed"], [], []]
+    assert rows[1]["isw_amplitude_v"] is None
+
+
+def test_an_hdf5_file_of_another_program_is_refused_with_what_to_do(tmp_path):
+    with h5py.File(tmp_path / "matlab.h5", "w", userblock_size=512) as file:
+        file.create_dataset("waves", data=volts(n=1)).attrs["MATLAB_class"] = np.bytes_("double")
+    assert "records of other programs (MATLAB, pandas): save them as .npy" in refused(tmp_path / "matlab.h5")
+
+
 def written_tdms(path, properties):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(path) as writer:
@@ -261,6 +302,55 @@ def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
     ]
     assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
     assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
+
+
+def short_volts(n, samples=800):
+    return volts(SCENE.with_(rate_hz=1e6, pretrigger_samples=100, n_samples=samples), n)
+
+
+WAVE = {"wf_increment": 1e-6, "wf_start_offset": -1e-4, "unit_string": "V"}
+
+
+def test_appended_records_of_labview_are_split(tmp_path):
+    """4,000 samples of which `wf_samples` is 800 are five records; beside them other channels and groups."""
+    records, longer = short_volts(5), short_volts(3, 1_000)
+    counts = np.round(records / 1e-3).astype(np.int16)
+    scaled = {**WAVE, "wf_samples": 800, **polynomial([0.0, 1e-3])}
+    path = write(
+        tmp_path / "appended.tdms",
+        [
+            ("B", "shots", records[:2].ravel(), {**WAVE, "wf_samples": 800}),
+            ("B", "shots", np.zeros(0), {}),
+            ("B", "shots", records[2:].ravel(), {}),
+            ("C", "shots", longer.ravel(), {**WAVE, "wf_samples": 1_000}),
+            ("C", "one", longer[0], {**WAVE, "wf_samples": 1}),  # as DAQmx logs it
+            ("D", "raw", counts.ravel(), scaled),
+            ("D", "remarks", ["wet", "dry"], {}),
+        ],
+    )
+    (tmp_path / "appended.tdms_index").write_bytes(b"of another file")
+    rows = told(path)
+    assert [row["flags"] for row in rows] == [[]] * 14
+    of_each = [row["tof_mf_s"] for row in told(saved(tmp_path, records), "--rate-hz", 1e6)]
+    assert [row["tof_mf_s"] for row in rows[:5]] == of_each
+    assert rows[5]["tof_mf_s"] == rows[8]["tof_mf_s"]
+    assert [row["tof_mf_s"] for row in rows[9:]] == pytest.approx(of_each, abs=1e-7)  # of the codes' rounding
+
+
+@pytest.mark.parametrize(
+    ("samples", "properties", "words"),
+    [
+        (3_900, {"wf_samples": 800}, "3900 samples are not a whole number of records of 800"),
+        (4_000, {"wf_samples": 800, "wf_increment": 0.0}, "wf_increment is 0.0 s"),
+        (4_000, {"wf_samples": "many"}, "wf_samples is 'many', no number"),
+        (4_000, {"wf_samples": 90}, "4000 samples are not a whole number of records of 90"),
+        (4_000, {"wf_samples": 50}, "the trigger at sample 100 is outside the record of 50 samples"),
+    ],
+)
+def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, words):
+    values = short_volts(5).ravel()[:samples]
+    path = write(tmp_path / "a.tdms", [("B", "shots", values, {**WAVE, **properties})])
+    assert f"group 'B', channel 'shots': {words}" in refused(path)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

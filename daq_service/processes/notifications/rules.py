@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq_service.alarms.states import SEVERITIES
+from daq_service.processes.notifications.messages import News
 from daq_service.settings.notifications import RuleSettings
-from daq_service.web.notifications.messages import News
 from hardware_drivers.nanoseconds import NS_PER_S
 
 

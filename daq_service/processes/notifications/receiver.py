@@ -14,9 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq_service.errors import BusyError, UsageError
-from daq_service.settings.notifications import NotificationSettings
-from daq_service.web.notifications.delivery_log import Delivery, DeliveryLog, Place, What
-from daq_service.web.notifications.messages import (
+from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog, Place, What
+from daq_service.processes.notifications.messages import (
     Message,
     News,
     alarm_message,
@@ -25,9 +24,10 @@ from daq_service.web.notifications.messages import (
     news_of,
     trial_message,
 )
-from daq_service.web.notifications.rules import Waiting, rule_of
-from daq_service.web.notifications.source import Source
-from daq_service.web.notifications.webhook import Outcome
+from daq_service.processes.notifications.rules import Waiting, rule_of
+from daq_service.processes.notifications.source import Source
+from daq_service.processes.notifications.webhook import Outcome
+from daq_service.settings.notifications import SHORTEST_FOR_PEOPLE_S, NotificationSettings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -140,6 +140,7 @@ class ReceiverLine:
             The catalogue cannot be read now.
         """
         if not self._began:
+            self._resume_heartbeat()
             self.begin(self._log.places([self.name]).get(self.name))
         self._take_in()
         self._beat()
@@ -178,7 +179,11 @@ class ReceiverLine:
         for row in rows:
             assert row.id is not None, "it is stored"
             self._seen = row.id
-            news = news_of(row)
+            try:
+                news = news_of(row)
+            except (KeyError, TypeError, ValueError, AttributeError):
+                log.exception("event %s cannot be read and is not sent", row.id)
+                news = None
             rule = None if news is None else rule_of(news, self.name, self._settings.rules)
             if row.id in self._settled:
                 continue
@@ -270,6 +275,8 @@ class ReceiverLine:
             return send(message)
         except UsageError as error:  # a secret that is gone meanwhile: it may come back
             return Outcome(ok=False, told=str(error))
+        except Exception as error:  # noqa: BLE001 - of a package or a reply; its text may repeat the address
+            return Outcome(ok=False, told=f"it could not be sent ({type(error).__name__})")
 
     # Signs of life
 
@@ -290,8 +297,20 @@ class ReceiverLine:
             self.state.last_heartbeat_utc_ns = now_ns
         self._beaten("ok" if outcome.ok else "failing", outcome.told)
 
+    @property
+    def _notes_each_heartbeat(self) -> bool:
+        """Only where they are hours apart: their distance then holds across restarts, too."""
+        return (self._own.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
+
+    def _resume_heartbeat(self) -> None:
+        every_s = self._own.heartbeat_s
+        if every_s is not None and self._notes_each_heartbeat:
+            last_ns = self._log.last_heartbeat_ns(self.name)
+            past_s = every_s if last_ns is None else (self._now_ns() - last_ns) / NS_PER_S
+            self._beat_s = self._mono_s() + min(every_s, max(0.0, every_s - past_s))
+
     def _beaten(self, state: str, told: str) -> None:
-        if state != self.state.heartbeat:
+        if state != self.state.heartbeat or (self._notes_each_heartbeat and state != "withheld"):
             self._note("heartbeat", f"{state}: {told}", moved=False)
         self.state.heartbeat, self.state.heartbeat_told = state, told
 

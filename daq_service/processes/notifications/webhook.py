@@ -19,11 +19,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
+from importlib.metadata import version
 from urllib.parse import urlsplit
 
-from daq_service.web.answers.version import distribution_version
-from daq_service.web.notifications.addresses import Address
-from daq_service.web.notifications.messages import Message
+from daq_service.processes.notifications.addresses import Address
+from daq_service.processes.notifications.messages import Message
 
 log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ def post(
     body = message.encoded()
     headers = {
         "Content-Type": "application/json",
-        "User-Agent": f"solimon/{distribution_version()}",
+        "User-Agent": f"solimon/{version('solimon')}",
         KEY: message.key,
         SIGNATURE: signature(address.secret, int(now_s()), body),
     }
@@ -193,7 +193,7 @@ def _seconds(text: str | None, now_s: float) -> float:
         return 0.0
     try:
         wanted_s = float(text) if text.isdigit() else parsedate_to_datetime(text).timestamp() - now_s
-    except ValueError:
+    except (ValueError, TypeError, OverflowError):
         log.debug("a Retry-After that is neither seconds nor a date")
         return 0.0
     return min(max(0.0, wanted_s), LONGEST_RETRY_AFTER_S)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from daq_service.processes.line_file import append_line, newest_lines
 
@@ -107,6 +107,22 @@ class DeliveryLog:
         """
         found, before = newest_lines(self.path, limit=limit, end=end)
         return [(number, _delivery(row)) for number, row in found], before
+
+    def last_heartbeat_ns(self, receiver: str) -> int | None:
+        """Return when the newest noted heartbeat message was sent, ns of UTC; None: none is noted.
+
+        Raises
+        ------
+        OSError
+            The file cannot be read.
+        """
+
+        def is_sent(row: Mapping[str, Any]) -> bool:
+            its = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
+            return its and not str(row.get("told")).startswith("withheld")
+
+        found, _ = newest_lines(self.path, limit=1, wanted=is_sent)
+        return int(found[0][1]["utc_ns"]) if found else None
 
     def places(self, receivers: Collection[str]) -> dict[str, Place]:
         """Tell how far each receiver has got; one that was never told is missing.

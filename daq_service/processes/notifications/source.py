@@ -10,8 +10,8 @@ from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import MEASURED_BY, AlarmRow, EventRow, FeatureRow
 from daq_service.catalogue.store import NoDataYetError
 from daq_service.processes.freshness import Freshness
+from daq_service.processes.notifications.messages import News, Test, test_of
 from daq_service.settings.tree import Settings
-from daq_service.web.notifications.messages import News, Test, test_of
 
 
 class Source:

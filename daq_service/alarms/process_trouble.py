@@ -1,0 +1,50 @@
+"""The alarms of a process that is missing, raised by one that is left."""
+
+from __future__ import annotations
+
+from daq_service.alarms.states import Condition
+
+RECORDER_NOT_RUNNING = "recorder_not_running"
+WEB_NOT_RESPONDING = "web_not_responding"
+
+
+def recorder_condition(finding: str, hour: float) -> Condition:
+    """Alarm from the moment at which the recorder is missing until a planned set is stored.
+
+    Parameters
+    ----------
+    finding
+        What shows that it is missing; empty: a set is stored.
+    hour
+        Of the test, h.
+    """
+    message = f"Recorder not running, sets are missed. {finding} (hour {hour:.1f})."
+    action = "Read `logs/`, then run `solimon run`."
+    return Condition(
+        position=None,
+        kind=RECORDER_NOT_RUNNING,
+        family="device",
+        severity="high",
+        present=bool(finding),
+        message=f"{message} {action}",
+    )
+
+
+def web_condition(hour: float, *, present: bool) -> Condition:
+    """Alarm while a web service that has served this test stalls, or has ended without notice.
+
+    Parameters
+    ----------
+    hour
+        Of the test, h.
+    """
+    message = f"Dashboard not responding. No heartbeat (hour {hour:.1f})."
+    action = "Read `logs/`, then restart `solimon serve`."
+    return Condition(
+        position=None,
+        kind=WEB_NOT_RESPONDING,
+        family="device",
+        severity="medium",
+        present=present,
+        message=f"{message} {action}",
+    )

@@ -1,0 +1,37 @@
+"""A reader's catalogue that is opened once it is there, for any thread."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from daq_service.catalogue.store import Catalogue, open_catalogue
+
+
+class CatalogueAccess:
+    """Opens the catalogue when it is first there; requests of every thread share it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lock = threading.Lock()
+        self._catalogue: Catalogue | None = None
+
+    def get(self) -> Catalogue:
+        """Return the open catalogue.
+
+        Raises
+        ------
+        NoDataYetError
+            Before the first record.
+        """
+        with self._lock:
+            if self._catalogue is None:
+                self._catalogue = open_catalogue(self._folder)
+            return self._catalogue
+
+    def close(self) -> None:
+        """Close it; the next `get` opens again."""
+        with self._lock:
+            if self._catalogue is not None:
+                self._catalogue.close()
+                self._catalogue = None

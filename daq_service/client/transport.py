@@ -1,0 +1,85 @@
+"""HTTP client of an address: loopback is asked directly, others by the proxies of the environment.
+
+httpx itself reads every variable, also those that concern other addresses, raises raw errors of them, and
+knows fewer forms of NO_PROXY.
+"""
+
+from __future__ import annotations
+
+import os
+import ssl
+from fnmatch import fnmatchcase
+from ipaddress import ip_address, ip_network
+from pathlib import Path
+from typing import Any
+from urllib.request import getproxies, proxy_bypass
+
+import httpx
+
+from daq_service.client.errors import ClientError
+
+LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/104")
+"""Addresses of this computer, as entries of NO_PROXY."""
+
+
+def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
+    """Return a client of an address.
+
+    Proxies and certificates are all that the environment decides: a ``.netrc`` lends no passwords.
+
+    Raises
+    ------
+    ClientError
+        The address is invalid, or a variable that concerns it cannot be used; the message names the variable.
+    """
+    variable = ""
+    try:
+        variable, proxy = proxy_of(url := httpx.URL(address))
+        own: dict[str, Any] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
+        return httpx.Client(base_url=address, headers=headers, timeout=timeout_s, **own)
+    except OSError as error:  # ssl.SSLError is one
+        name = next(filter(os.environ.get, CERTIFICATES), "the package certifi")
+        raise ClientError(f"{name} names no readable certificates ({error}); correct or unset it") from error
+    except (httpx.InvalidURL, ImportError, ValueError) as error:
+        if not variable:
+            raise ClientError(f"{address!r}: {error}; give an address like http://127.0.0.1:8750") from error
+        remedy = "correct it, or add the host to NO_PROXY"
+        raise ClientError(f"{variable} names a proxy that cannot be used ({error}); {remedy}") from error
+
+
+def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
+    """Return the variable that names the proxy of an address, and the proxy; empty and None: no proxy."""
+    proxies, host = getproxies(), url.host.lower()
+    scheme = next(filter(proxies.get, (url.scheme, "all")), None)
+    exceptions = (*LOOPBACK, *proxies.get("no", "").lower().split(","))
+    is_direct = any(_is_for(entry.strip(), host) for entry in exceptions)
+    if scheme is None or is_direct or proxy_bypass(url.netloc.decode()):
+        return "", None
+    names = (f"{scheme}_proxy", f"{scheme}_proxy".upper())
+    variable = next(filter(os.environ.get, names), "the proxy setting of this system")
+    return variable, proxies[scheme] if "://" in proxies[scheme] else f"http://{proxies[scheme]}"
+
+
+def through(url: httpx.URL) -> str:
+    """Return for a message which proxy an address is asked through; empty: none."""
+    variable, _ = proxy_of(url)
+    return variable and f" through the proxy of {variable}"
+
+
+def _is_for(entry: str, host: str) -> bool:
+    """Tell whether an entry of NO_PROXY is a network with a host's address, or a pattern of its name."""
+    try:
+        return ip_address(host) in ip_network(entry.strip("[]"), strict=False)
+    except ValueError:
+        return fnmatchcase(host, entry)
+
+
+CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
+
+
+def _certificates(scheme: str) -> ssl.SSLContext:
+    if scheme != "https":  # nothing is encrypted: to read all certificates would take longer than the answer
+        return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    if next(filter(os.environ.get, CERTIFICATES), "") == "SSL_CERT_DIR":
+        list(Path(os.environ["SSL_CERT_DIR"]).iterdir())  # to OpenSSL an absent folder is an empty one
+    return httpx.create_ssl_context()

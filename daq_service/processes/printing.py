@@ -1,0 +1,54 @@
+"""Lines for a person on streams that may be closed, full or held (Ctrl-S): they delay and end nothing."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+from contextlib import suppress
+
+log = logging.getLogger(__name__)
+
+PRINTING = "printing"
+"""Name of threads that print: one that is left at the end holds a stream, which Python could not flush."""
+HELD_AFTER_S = 2.0
+"""A stream that takes no line for so long is held."""
+
+
+def print_line(text: str, *, err: bool = True) -> None:
+    """Print a line on standard error, or on standard output; wait for `HELD_AFTER_S` at most."""
+
+    def write() -> None:
+        try:
+            print(text, file=sys.stderr if err else sys.stdout, flush=True)
+        except (OSError, ValueError) as gone:
+            log.debug("nobody reads %r: %s", text, gone)
+            drop_unwritten()
+
+    thread = threading.Thread(target=write, name=PRINTING, daemon=True)
+    thread.start()
+    thread.join(HELD_AFTER_S)
+
+
+def drop_unwritten() -> None:
+    """Drop what a stream does not take: Python's last flush of it would change the exit code to 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def end_process(code: int) -> None:
+    """End at once where Python would not end with this code; elsewhere leave it to Python.
+
+    A thread that prints on a held stream holds its lock, without which Python aborts the process; with
+    PYTHONINSPECT it would go on to read commands from standard input.
+    """
+    if any(thread.name == PRINTING for thread in threading.enumerate()):
+        os._exit(code)
+    if "PYTHONINSPECT" in os.environ:
+        drop_unwritten()
+        os._exit(code)

@@ -1,0 +1,19 @@
+"""An archive whose sets have their files at once, for tests of what reads files."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+from daq_service.archive import FolderArchive, SetNotFoundError, SetRecord, StoredSet
+from daq_service.archive.compaction import compact_set
+
+
+class FiledArchive(FolderArchive):
+    """Gives each set its file as soon as it is stored, and holds nothing open."""
+
+    def store_set(self, record: SetRecord) -> StoredSet:
+        stored = super().store_set(record)
+        with suppress(SetNotFoundError):  # it has its file already
+            compact_set(self.folder, record.set_index, results=record.results)
+        self.settle(record.set_index)
+        self.close()
+        return replace(stored, n_bytes=(self.folder / stored.file).stat().st_size)

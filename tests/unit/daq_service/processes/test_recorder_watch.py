@@ -1,0 +1,178 @@
+"""A process that is left notices a recorder that fails again and again, or does not run at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from support.begun_experiment import begun_catalogue, tell
+
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.processes.heartbeat import Beat, Stage
+from daq_service.processes.recorder_state import Word
+from daq_service.processes.recorder_watch import MOST_INTERVALS, STARTING_S, RecorderWatch
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+INTERVAL_H, END_H = 0.5, 20.0
+LOOK_EVERY_H = 0.05
+SETTINGS = Settings(
+    schedule={"phases": [{"until_h": END_H, "interval_h": INTERVAL_H}]}, clock={"kind": "wall"}
+)
+
+
+class Bench:
+    """A test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.catalogue = begun_catalogue(folder)
+        self.hour, self.clock, self.n_sets, self.process = 0.0, "wall", 0, 1
+        self.word: Word = "running"
+        self.stage: Stage = ""
+        monkeypatch.setattr("daq_service.processes.recorder_watch.Freshness", lambda *_: self.fresh())
+        self.watch = RecorderWatch(
+            SETTINGS, folder, lambda: self.catalogue, mono_s=lambda: 3600.0 * self.hour
+        )
+
+    def fresh(self) -> SimpleNamespace:
+        now_ns = round(self.hour * NS_PER_H)
+        beat = Beat(process=self.process, mono_ns=now_ns, deadline_s=60.0, doing="waiting", stage=self.stage)
+        recorder = SimpleNamespace(word=self.word, beat=beat, beat_age_s=0.0)
+        return SimpleNamespace(
+            recorder=recorder, clock=self.clock, epoch_utc_ns=0, now_utc_ns=now_ns, now_h=self.hour
+        )
+
+    def store(self) -> None:
+        """Store the planned set that ended at this hour."""
+        self.n_sets += 1
+        row = SetRow(
+            set_index=self.n_sets,
+            position="B",
+            method="solitary_wave",
+            due_utc_ns=0,
+            due_h=0.0,
+            ended_utc_ns=round(self.hour * NS_PER_H),
+            state="done",
+            n_planned=10,
+            file=f"sets/{self.n_sets}",
+        )
+        self.catalogue.commit_set(SetCommit(sets=[row]))
+
+    def run(self, hours: float, *, restarts_every_h: float = 1e9) -> None:
+        """Let time pass; the recorder is another process at each restart."""
+        end_h, restart_h = self.hour + hours, self.hour + restarts_every_h
+        while self.hour < end_h:
+            self.watch.look()
+            self.hour += LOOK_EVERY_H
+            if self.hour >= restart_h:
+                self.process, restart_h = self.process + 1, restart_h + restarts_every_h
+        self.watch.look()
+
+    def alarms(self) -> list[tuple[str, str]]:
+        """Kind of each event of the alarm, and its evidence."""
+        rows = self.catalogue.rows(EventRow, topic="alarms")
+        return [(row.kind, row.payload["message"].split(". ")[1].partition(" (")[0]) for row in rows]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    made = Bench(tmp_path, monkeypatch)
+    yield made
+    made.catalogue.close()
+
+
+RESTARTS, NO_SET = "3 restarts in 10 min", "No planned set stored for 2 intervals"
+
+
+def test_three_restarts_in_ten_minutes_raise_it_once_and_a_stored_set_clears_it(bench: Bench) -> None:
+    bench.store()
+    bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
+    assert bench.alarms() == [("alarm_raised", RESTARTS)]
+    (row,) = bench.catalogue.rows(AlarmRow)
+    assert (row.kind, row.family, row.severity) == ("recorder_not_running", "device", "high")
+    assert row.message.startswith("Recorder not running, sets are missed. 3 restarts in 10 min (hour 0.2). ")
+    assert row.message.endswith("Read `logs/`, then run `solimon run`.")
+    bench.store()
+    bench.run(0.1)
+    assert [kind for kind, _ in bench.alarms()] == ["alarm_raised", "alarm_cleared"]
+
+
+def test_restarts_that_are_rare_or_ordered_raise_nothing(bench: Bench) -> None:
+    bench.store()
+    bench.run(0.5, restarts_every_h=2.0 * LOOK_EVERY_H)
+    bench.store()
+    bench.stage = "ended"  # each of them took leave
+    bench.run(0.5, restarts_every_h=LOOK_EVERY_H)
+    assert bench.alarms() == []
+
+
+def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(bench: Bench) -> None:
+    """The plug-in's driver raises at the first shot of each set: one restart per interval."""
+    bench.hour = 2.1
+    bench.store()
+    bench.run(2.0, restarts_every_h=INTERVAL_H)
+    assert bench.alarms() == [("alarm_raised", NO_SET)]
+    (row,) = bench.catalogue.rows(AlarmRow)
+    assert row.raised_h == pytest.approx(2.1 + MOST_INTERVALS * INTERVAL_H, abs=2.0 * LOOK_EVERY_H)
+
+
+@pytest.mark.parametrize("word", ["silent", "stopped", "absent"])
+def test_a_recorder_that_does_not_run_is_noticed(bench: Bench, word: Word) -> None:
+    bench.hour = 2.1
+    bench.store()
+    bench.word = word
+    bench.run(1.5)
+    assert bench.alarms() == [("alarm_raised", NO_SET)]
+
+
+def test_after_a_start_of_the_computer_it_has_time_to_come(bench: Bench) -> None:
+    bench.hour = 0.1
+    bench.store()
+    bench.word, bench.hour = "silent", 9.0
+    bench.watch = RecorderWatch(
+        SETTINGS, bench.watch._folder, lambda: bench.catalogue, mono_s=lambda: 3600.0 * bench.hour
+    )
+    bench.watch.look()
+    assert bench.alarms() == []
+    bench.hour += 1.01 * STARTING_S * NS_PER_S / NS_PER_H
+    bench.watch.look()
+    assert bench.alarms() == [("alarm_raised", NO_SET)]
+
+
+def pause(bench: Bench) -> None:
+    bench.catalogue.add_event(utc_ns=0, topic="service", kind="hold", payload={"held": "Ada: filling"})
+
+
+def finish(bench: Bench) -> None:
+    tell(bench.catalogue, "schedule_done")
+    bench.word = "finished"
+
+
+def simulate(bench: Bench) -> None:
+    bench.clock = "simulated"
+
+
+def end(bench: Bench) -> None:
+    bench.hour = END_H + 50.0
+
+
+@pytest.mark.parametrize("change", [pause, finish, simulate, end])
+def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
+    bench.hour = 2.1
+    bench.store()
+    bench.word = "stopped"
+    change(bench)
+    bench.run(1.5)
+    assert bench.alarms() == []
+
+
+def test_a_recorder_that_lives_has_its_own_alarms_for_what_it_waits_for(bench: Bench) -> None:
+    bench.run(3.0)
+    bench.word = "silent"
+    bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)
+    assert bench.alarms() == []
+    bench.run(0.2)
+    assert bench.alarms() == [("alarm_raised", NO_SET)]

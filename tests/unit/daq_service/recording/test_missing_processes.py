@@ -1,0 +1,163 @@
+"""What a recorder does about a web service that stalls, and the alarm raised in its absence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.memory_line import Line
+
+from daq_service.alarms.process_trouble import recorder_condition
+from daq_service.alarms.states import Moment, update
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.clock import boot_name
+from daq_service.processes.heartbeat import (
+    WEB_ANSWERS_WITHIN_S,
+    WEB_DEADLINE_S,
+    WEB_FILE,
+    WEB_STARTS_WITHIN_S,
+    Heartbeat,
+    Stage,
+    WebWatch,
+)
+from hardware_drivers.nanoseconds import NS_PER_S
+
+
+class Web:
+    """A web service's heartbeat file, on a monotonic time that passes by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.now_s = folder, 1000.0
+
+    def mono_ns(self) -> int:
+        return round(self.now_s * NS_PER_S)
+
+    def beat(self, stage: Stage = "", boot: str | None = boot_name()) -> None:
+        heartbeat = Heartbeat(
+            self.folder, deadline_s=WEB_DEADLINE_S, file=WEB_FILE, mono_ns=self.mono_ns, boot=lambda: boot
+        )
+        heartbeat.stage = stage
+        heartbeat.beat("serving")
+
+    def watch(self) -> WebWatch:
+        return WebWatch(self.folder, mono_ns=self.mono_ns)
+
+    def looks(self, watch: WebWatch, seconds: float) -> Iterator[bool | None]:
+        for _ in range(round(seconds)):
+            self.now_s += 1.0
+            yield watch.is_missing()
+
+
+@pytest.fixture
+def web(tmp_path: Path) -> Web:
+    return Web(tmp_path)
+
+
+def test_a_service_that_stalls_is_missing_until_it_responds(web: Web) -> None:
+    watch = web.watch()
+    web.beat()
+    assert set(web.looks(watch, WEB_DEADLINE_S)) == {False}
+    later = list(web.looks(watch, 2.0 * WEB_ANSWERS_WITHIN_S))
+    assert (later[0], later[-1]) == (None, True)
+    web.beat()
+    assert next(web.looks(watch, 1.0)) is False
+
+
+def test_without_a_service_or_after_its_orderly_end_none_is_missing(web: Web) -> None:
+    watch = web.watch()
+    assert set(web.looks(watch, 2.0 * WEB_STARTS_WITHIN_S)) == {False}
+    web.beat()
+    web.beat("ended")
+    assert set(web.looks(watch, 2.0 * WEB_STARTS_WITHIN_S)) == {False}
+
+
+@pytest.mark.parametrize("boot", [boot_name(), "another boot"])
+def test_one_that_served_before_this_recorder_has_time_to_come_back(web: Web, boot: str) -> None:
+    web.beat(boot=boot)
+    web.now_s += 10.0 * WEB_DEADLINE_S
+    watch = web.watch()
+    assert set(web.looks(watch, WEB_STARTS_WITHIN_S - 1.0)) == {None}
+    assert list(web.looks(watch, 2.0))[-1] is True
+
+
+def test_a_computer_that_wakes_up_finds_no_service_missing(web: Web) -> None:
+    watch = web.watch()
+    web.beat()
+    assert next(web.looks(watch, 1.0)) is False
+    web.now_s += 8 * 3600.0
+    assert next(web.looks(watch, 1.0)) is None
+    web.beat()
+    assert next(web.looks(watch, 1.0)) is False
+
+
+class Scripted(WebWatch):
+    """Answers as a list says, then for ever as its last item."""
+
+    def __init__(self, folder: Path, *answers: bool | None) -> None:
+        super().__init__(folder)
+        self.answers = list(answers)
+
+    def is_missing(self) -> bool | None:
+        return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+
+
+def events(line: Line) -> list[tuple[str, str]]:
+    with line.catalogue() as catalogue:
+        rows = catalogue.rows(EventRow, topic="alarms")
+    return [
+        (row.payload["kind"], row.kind) for row in rows if row.payload.get("kind", "").endswith(("ing", "ng"))
+    ]
+
+
+def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: Path) -> None:
+    line = Line(tmp_path)
+    assert line.run(web=Scripted(tmp_path, False, None, True, True, None, False, False))
+    kind = "web_not_responding"
+    assert events(line) == [(kind, "alarm_raised"), (kind, "alarm_cleared")]
+    with line.catalogue() as catalogue:
+        (row,) = catalogue.rows(AlarmRow, kind=kind)
+    assert (row.severity, row.family) == ("medium", "device")
+    assert row.message.startswith("Dashboard not responding. No heartbeat (hour ")
+    assert row.message.endswith("Read `logs/`, then restart `solimon serve`.")
+
+
+def raise_in_its_absence(line: Line) -> None:
+    with line.catalogue(writer=True) as catalogue:
+        line.epoch_ns(catalogue)
+        moment = Moment(utc_ns=0, due_h=0.0, set_index=None)
+        change = update(None, recorder_condition("3 restarts in 10 min", 0.0), moment)
+        assert change is not None
+        catalogue.commit_set(SetCommit(alarms=[change.row]))
+
+
+@pytest.mark.parametrize("when", ["before it starts", "while it runs"])
+def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Path, when: str) -> None:
+    line = Line(tmp_path)
+    if when == "before it starts":
+        raise_in_its_absence(line)
+
+    def tell(event: str, **values: object) -> None:
+        if when == "while it runs" and event == "begun":
+            raise_in_its_absence(line)
+
+    assert line.run(tell=tell)
+    assert events(line) == [("recorder_not_running", "alarm_cleared")]
+    with line.catalogue() as catalogue:
+        (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
+    assert row.state == "returned_unacknowledged"
+
+
+def test_an_order_finds_the_alarm_that_another_process_raised(tmp_path: Path) -> None:
+    line = Line(tmp_path, script=lambda key: None)  # no set has records: the alarm stays
+
+    def tell(event: str, **values: object) -> None:
+        if event == "begun":
+            raise_in_its_absence(line)
+
+    line.order("acknowledge_alarm", alarm_id=1, note="seen")
+    line.run(tell=tell)
+    with line.catalogue() as catalogue:
+        (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
+    assert (row.id, row.state, row.acknowledged_by) == (1, "acknowledged", "Ada")

@@ -1,0 +1,106 @@
+"""Who sends while the web service is missing: a process that stands by, and one at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.receivers import HttpReceiver, http_receiver
+from support.served_web import served
+from support.told_alarms import notifying
+from support.waiting import until
+
+from daq_service.processes.data_folder import hold_lock, lock_text
+from daq_service.processes.heartbeat import WEB_FILE, Heartbeat, web_state
+from daq_service.processes.notifications import service
+from daq_service.processes.notifications.delivery_log import DeliveryLog
+from daq_service.processes.notifications.service import standing_by
+
+ME = f"process {os.getpid()}"
+
+
+@pytest.fixture
+def receiver(monkeypatch: pytest.MonkeyPatch) -> Iterator[HttpReceiver]:
+    monkeypatch.setenv("DUTY_SECRET", "correct-horse-battery-staple")
+    monkeypatch.setattr(service, "LOOK_EVERY_S", 0.01)
+    with http_receiver() as running:
+        yield running
+
+
+@pytest.fixture
+def filled(tmp_path: Path, receiver: HttpReceiver) -> Iterator[FilledFolder]:
+    settings = notifying(
+        {"duty": {"url": receiver.url, "secret_env": "DUTY_SECRET"}}, rules=[{"group_s": 0.0}]
+    )
+    folder = FilledFolder(tmp_path, settings)
+    folder.add_set(0, stored=False)
+    yield folder
+    folder.close()
+
+
+def beat(folder: Path, *, deadline_s: float) -> None:
+    Heartbeat(folder, deadline_s=deadline_s, file=WEB_FILE).beat("serving")
+
+
+def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
+    """Raise an alarm; return the kinds in the message that comes."""
+    filled.add_alarm("B", 0, kind=kind, message=f"{kind} is there")
+    return [item["kind"] for item in receiver.next().message["alarms"]]
+
+
+def test_without_a_web_service_the_process_that_stands_by_sends(
+    filled: FilledFolder, receiver: HttpReceiver
+) -> None:
+    with standing_by(filled.settings, filled.folder, watches=False):
+        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+        assert alarm(filled, receiver, "hole") == ["hole"]
+
+
+def test_the_web_service_takes_over_where_it_stopped_and_back_again(
+    filled: FilledFolder, receiver: HttpReceiver
+) -> None:
+    with standing_by(filled.settings, filled.folder, watches=False):
+        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+        with served(filled.settings, filled.folder) as web, web.client() as client:
+
+            def sends() -> bool:
+                found = client.get("/api/v1/notifications").json()
+                return bool(found["sending"] and found["receivers"][0]["began"])
+
+            until(sends, "the web service's line")
+            assert web_state(filled.folder) == "responding"
+            assert alarm(filled, receiver, "hole") == ["hole"]
+        assert web_state(filled.folder) == "not_expected", "it ended in order"
+        assert alarm(filled, receiver, "no_data") == ["no_data"]
+    assert receiver.got.empty(), "nothing is sent twice"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows keeps the name of an open file")
+def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, receiver: HttpReceiver) -> None:
+    """Its process lives, and with it the lock of the delivery log."""
+    beat(filled.folder, deadline_s=0.0)
+    with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
+        stack.enter_context(standing_by(filled.settings, filled.folder, watches=False))
+        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+        assert alarm(filled, receiver, "hole") == ["hole"]
+
+
+def test_a_process_whose_lock_was_taken_sends_nothing_more(
+    filled: FilledFolder, receiver: HttpReceiver
+) -> None:
+    """As a web service that goes on after it was stopped for long."""
+    with served(filled.settings, filled.folder) as web, web.client() as client:
+        until(lambda: client.get("/api/v1/notifications").json()["receivers"][0]["began"], "its line")
+        lock = filled.folder / service.LOCK_FILE
+        lock.unlink()
+        with hold_lock(filled.folder, service.LOCK_FILE, "process 1", who="process"):
+            silent = until(lambda: client.get("/api/v1/notifications").json()["why_silent"], "its look")
+            assert silent == "another process of this test sends"
+            filled.add_alarm("B", 0, kind="hole", message="hole is there")
+            assert lock_text(filled.folder, service.LOCK_FILE) == "process 1"
+        assert [item["kind"] for item in receiver.next().message["alarms"]] == ["hole"]
+    assert receiver.got.empty()

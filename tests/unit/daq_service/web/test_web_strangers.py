@@ -1,0 +1,275 @@
+"""Requests of strangers: malformed, repeated, of foreign pages, under no name, or never complete."""
+
+import select
+import socket
+import sys
+from contextlib import ExitStack, contextmanager, suppress
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import DEADLINE_S, served
+from support.waiting import until
+
+from daq_service.orders.every import KINDS
+from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
+from daq_service.web import bounded_http, server
+from daq_service.web.doors.tokens import KnownTokens, create_token, revoke_token
+
+FAR = Settings(web=WebSettings(host_names=("lab.example.org",), proxy="127.0.0.1"))
+BLANKS = [
+    "   ",
+    "\t",
+    "\u00a0\u2003",
+    "\u200b\u2060\ufeff",
+    "\u3164",
+    "\u2800",
+    "\x00\x1b",
+    "\u202e",
+    "\u00ad",
+]
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
+    folder.add_set(0, stored=False, shown=True)
+    folder.add_alarm("B", 0)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+@pytest.fixture
+def api(service):
+    with service.client() as client:
+        yield client
+
+
+# Headers
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://[", "http://[::1", "http://]", "://", "http://\xff", "http://a:b:c"]
+)
+def test_a_malformed_origin_is_foreign(api, origin):
+    headers = {"Origin": origin.encode("latin-1")}
+    assert api.post("/api/v1/commands", json={"kind": "stop"}, headers=headers).status_code == 403
+    assert api.get("/api/v1/stream", headers=headers).status_code == 403
+    headers["Sec-Fetch-Site"] = "cross-site"
+    assert api.get("/api/v1/info", headers=headers).status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("Host", ("127.0.0.1", "evil.example")),
+        ("Host", ("evil.example", "127.0.0.1")),
+        ("Host", ("127.0.0.1", "127.0.0.1")),
+        ("Origin", ("http://127.0.0.1", "http://evil.example")),
+        ("Sec-Fetch-Site", ("same-origin", "cross-site")),
+    ],
+)
+def test_a_header_that_must_be_one_is_refused_twice(service, name, values):
+    lines = [f"{name}: {value}" for value in values] + ([] if name == "Host" else ["Host: 127.0.0.1"])
+    with connection_to(service) as client:
+        client.sendall(
+            "\r\n".join(["GET /api/v1/stream HTTP/1.1", *lines, "Connection: close", "", ""]).encode()
+        )
+        answer = b"".join(iter(lambda: client.recv(65536), b""))
+    assert answer.startswith(b"HTTP/1.1 400 " if name == "Host" else b"HTTP/1.1 403 ")
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("tables/sets?position=B", {"Accept": "text/csv;q=\xb2"}),
+        ("tables/sets?position=B", {"Accept": "text/csv;q=nan,text/csv;q=-1,;;q="}),
+        ("stream", {"Last-Event-ID": "\xb2"}),
+        ("stream", {"Last-Event-ID": "9" * 5000}),
+        ("info", {"If-None-Match": '"\xff,W/"'}),
+        ("info", {"Cookie": 'a="\\9;=;'}),
+        ("info", {"Authorization": "Bearer \xff"}),
+        ("files/set_1_a.h5", {"Range": "bytes=\xb2-"}),
+    ],
+)
+def test_a_malformed_header_is_no_fault_of_the_service(api, path, headers):
+    encoded = {name: value.encode("latin-1") for name, value in headers.items()}
+    with api.stream("GET", f"/api/v1/{path}", headers=encoded) as answer:
+        assert answer.status_code < 500
+
+
+BODIES = [
+    b"[" * 60_000,
+    b'{"\\ud800": 1}',
+    b'{"kind": "hold", "author": "\\ud800"}',
+    b"\xff",
+    b"1e999",
+    b"{}{}",
+]
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: repr(body[:20]))
+def test_a_malformed_body_is_no_fault_of_the_service(api, body):
+    answer = api.post("/api/v1/commands", content=body, headers={"Content-Type": "application/json"})
+    assert 400 <= answer.status_code < 500
+
+
+# Foreign pages
+
+
+@pytest.fixture
+def far(tmp_path):
+    create_token(tmp_path / "tokens.json", "ann", "viewer")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        ("/api/v1/info", {}, 403),
+        ("/api/v1/report", {"Sec-Fetch-Mode": "navigate"}, 403),
+        ("/api/v1/info", {"Origin": "https://evil.example"}, 403),
+        ("/api/v1/info", {"Origin": "null"}, 403),
+        ("/", {"Sec-Fetch-Mode": "navigate"}, 200),
+        ("/healthz", {}, 200),
+        ("/api/v1/info", {"Origin": "https://lab.example.org"}, 401),
+        ("/api/v1/info", {"Sec-Fetch-Site": "same-origin"}, 401),
+        ("/api/v1/info", {"Sec-Fetch-Site": "none"}, 401),
+    ],
+)
+def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, headers, status):
+    """401: let in as far as the question for a token."""
+    with served(FAR, far) as service, service.client() as api:
+        sent = {"Host": "lab.example.org", "X-Forwarded-Proto": "https", "Sec-Fetch-Site": "cross-site"}
+        assert api.get(path, headers=sent | headers).status_code == status
+
+
+# Names
+
+
+@pytest.mark.parametrize("blank", BLANKS, ids=ascii)
+def test_nobody_commands_under_a_blank_name_or_for_a_blank_reason(filled, api, blank):
+    before = len(filled.catalogue.open_commands())
+    for path, body in (
+        ("commands", {"kind": "release", "author": blank}),
+        ("commands", {"kind": "hold", "author": "ann", "arguments": {"note": blank}}),
+        (
+            "commands",
+            {"kind": "renew_baseline", "author": "ann", "arguments": {"position": "B", "note": blank}},
+        ),
+        ("alarms/1/acknowledge", {"author": blank}),
+        ("alarms/1/shelve", {"author": "ann", "for_h": 1.0, "reason": blank}),
+        ("alarms/1/out-of-service", {"author": "ann", "reason": blank}),
+        ("annotations", {"author": "ann", "from_h": 0.0, "text": blank}),
+        ("annotations", {"author": blank, "from_h": 0.0, "text": "a note"}),
+    ):
+        assert api.post(f"/api/v1/{path}", json=body).status_code == 422, path
+    assert len(filled.catalogue.open_commands()) == before
+
+
+def test_every_command_needs_a_name():
+    for kind, order in KINDS.items():
+        assert "pattern" in order.model_json_schema()["properties"]["author"], kind
+
+
+# Tokens
+
+
+def test_lost_tokens_open_nothing_after_a_restart(tmp_path, caplog):
+    path = tmp_path / "tokens.json"
+    create_token(path, "ann", "admin")
+    path.unlink()
+    assert KnownTokens(path).asked_for
+    assert "nobody is let in" in caplog.text
+    create_token(path, "bob", "admin")
+    assert KnownTokens(path).still_opens("bob", "admin")
+
+
+def test_revoking_where_no_token_was_made_asks_for_none(tmp_path):
+    path = tmp_path / "tokens.json"
+    with pytest.raises(server.UsageError, match="no token 'ann'"):
+        revoke_token(path, "ann")
+    assert not KnownTokens(path).asked_for
+
+
+# Connections
+
+
+@contextmanager
+def connection_to(service, begun=b""):
+    host, _, port = service.netloc.partition(":")
+    with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
+        client.sendall(begun)
+        yield client
+
+
+def _closed(clients):
+    return len(select.select(clients, [], [], 0)[0])
+
+
+def _ended(client):
+    """Read what is there; whether that was all for good."""
+    client.setblocking(False)
+    with suppress(BlockingIOError):
+        while client.recv(65536):
+            continue
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [b"", b"GET / HT", b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{"],
+    ids=["silent", "headers", "body"],
+)
+@pytest.mark.parametrize("limit", ["MOST_WAITING", "MOST_WAITING_OF_ADDRESS"])
+def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, limit, begun):
+    monkeypatch.setattr(bounded_http, limit, 3)
+    monkeypatch.setattr(bounded_http, "LOOK_EVERY_S", 0.02)
+    with served(filled.settings, filled.folder) as service, ExitStack() as opened:
+        stream = opened.enter_context(
+            connection_to(service, b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        )
+        assert stream.recv(4096).startswith(b"HTTP/1.1 200 ")
+        clients = [opened.enter_context(connection_to(service, begun)) for _ in range(8)]
+        until(lambda: _closed(clients) == 5, "all but three to be closed")
+        with service.client() as api:
+            assert api.get("/healthz").status_code == 200
+        assert not _ended(stream), "its request was complete"
+
+
+def test_beyond_all_connections_the_one_that_waits_longest_is_closed(filled, monkeypatch):
+    monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
+    with served(filled.settings, filled.folder) as service, ExitStack() as opened:
+        clients = [opened.enter_context(connection_to(service)) for _ in range(4)]
+        until(lambda: _closed(clients) == 3, "all but the newest to be closed")
+        assert not _closed(clients[-1:])
+        with service.client() as api:  # it makes place, too
+            until(lambda: api.get("/healthz").status_code == 200, "a place")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no such limit")
+@pytest.mark.parametrize(
+    ("limits", "refused", "most"),
+    [((1024, 1024), False, 816), ((256, 4096), False, 2500), ((1024, 4096), True, 816), ((64, 64), False, 1)],
+)
+def test_the_limit_of_handles_is_raised_and_leaves_some(monkeypatch, limits, refused, most):
+    import resource
+
+    raised = []
+
+    def set_limit(_, new):
+        if refused:
+            raise ValueError("not allowed to raise maximum limit")
+        raised.append(new)
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
+    monkeypatch.setattr(resource, "setrlimit", set_limit)
+    assert server.most_connections() == most
+    assert raised == ([] if refused else [(limits[1], limits[1])])
