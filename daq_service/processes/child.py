@@ -65,8 +65,9 @@ def stop_on_signals() -> Iterator[threading.Event]:
     try:
         yield stop
     except BaseException as ending:
-        # An EOFError would pass for the end of a person's input.
-        if isinstance(ending, Exception) and not isinstance(ending, EOFError):
+        # An EOFError would pass for the end of a person's input; a command ends so once it has heard a stop.
+        heard_stop = isinstance(ending, KeyboardInterrupt) and stop.is_set()
+        if heard_stop or (isinstance(ending, Exception) and not isinstance(ending, EOFError)):
             raise
         raise EndedByLibraryError(ending) from ending
     finally:
