@@ -114,7 +114,7 @@ def see_it_lost_and_found(filled, page, tunnel, after_freezing=lambda: None):
     expect(page.locator("#waveform")).to_have_attribute("data-sequence", str(newest))
 
 
-@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("shared", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_frozen_connection_is_lost_after_two_missed_heartbeats(filled, browser, shared):
     context = browser.new_context(viewport=DESK)
     if not shared:
@@ -131,6 +131,7 @@ def test_a_frozen_connection_is_lost_after_two_missed_heartbeats(filled, browser
         context.close()
 
 
+@pytest.mark.slow
 def test_a_page_that_wakes_from_sleep_asks_anew(filled, browser):
     """The computer slept for an hour: its connections look open and are dead."""
     context = browser.new_context(viewport=DESK)

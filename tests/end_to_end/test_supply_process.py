@@ -322,7 +322,7 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
     assert test.switchings() == [True, False]
 
 
-@pytest.mark.parametrize("state", ["on", "unreadable"])
+@pytest.mark.parametrize("state", [pytest.param("on", marks=pytest.mark.slow), "unreadable"])
 def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_switches_off(
     test: Test, state: str
 ) -> None:
@@ -490,7 +490,7 @@ def alarm(test: Test, kind: str) -> str:
     return until(lambda: test.alarms().get(kind), kind).message
 
 
-@pytest.mark.parametrize("off", ["command", "brown-out"])
+@pytest.mark.parametrize("off", ["command", pytest.param("brown-out", marks=pytest.mark.slow)])
 def test_an_output_that_comes_on_by_itself_is_switched_off(test: Test, off: str) -> None:
     with energised(test):
         if off == "command":
