@@ -2,6 +2,8 @@
 
 import gc
 import os
+import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,10 @@ AFTER_COMPILATION = "test_wheel.py"
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # A shell ignores Ctrl-C for what it runs in the background, and our processes keep what is ignored.
+    is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    if is_ignored and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # pytest-xdist would begin with the files of most tests, which are the shortest ones.
     config.option.loadscopereorder = False
     mark_descendants()
