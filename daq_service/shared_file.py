@@ -50,13 +50,13 @@ def patiently(
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
     """Call again while the answer is a refusal, with growing pauses; the last one is raised."""
-    begun_s = time.monotonic()
+    started_s = time.monotonic()
     pause_s, reported = 0.001, False
     while True:
         try:
             return call()
         except Exception as error:
-            waited_s = time.monotonic() - begun_s
+            waited_s = time.monotonic() - started_s
             if not is_refusal(error) or waited_s >= patience_s:
                 raise
             if not reported and waited_s >= report_after_s:

@@ -294,9 +294,9 @@ class Safekeeping:
         condition = space_condition(
             space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
-        self._tell_surely(condition)
+        self._store_alarm(condition)
 
-    def _tell_surely(self, condition: Condition) -> None:
+    def _store_alarm(self, condition: Condition) -> None:
         """Store an alarm now, or as soon as the catalogue takes it."""
         job = partial(self._ledger.tell, condition, self._moment())
         try:
@@ -325,8 +325,8 @@ class Safekeeping:
             except PASSING as error:
                 log.warning("the alarm is not stored: %s", error)
         else:  # on record even if the catalogue itself was what took nothing
-            self._tell_surely(storage_condition(self._told_trouble, present=True))
-            self._tell_surely(storage_condition(self._told_trouble, present=False))
+            self._store_alarm(storage_condition(self._told_trouble, present=True))
+            self._store_alarm(storage_condition(self._told_trouble, present=False))
             self._told_compaction = ""  # what still has no file is reported again
         self._on_trouble()
 
@@ -336,7 +336,7 @@ class Safekeeping:
             return
         message = trouble or self._told_compaction
         self._told_compaction = trouble
-        self._tell_surely(storage_condition(message, present=bool(trouble), waits_in="journal"))
+        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _tell_damage(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""

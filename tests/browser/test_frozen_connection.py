@@ -132,7 +132,7 @@ def test_a_frozen_connection_is_lost_after_two_missed_heartbeats(filled, browser
 
 
 @pytest.mark.slow
-def test_a_page_that_wakes_from_sleep_asks_anew(filled, browser):
+def test_a_page_that_wakes_from_sleep_connects_again(filled, browser):
     """The computer slept for an hour: its connections look open and are dead."""
     context = browser.new_context(viewport=DESK)
     context.add_init_script("delete window.SharedWorker")

@@ -549,7 +549,7 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
         assert "consecutive readings" in alarm(test, "interlock_tripped")
 
 
-def test_a_drive_that_stands_still_at_the_end_is_replaced_by_one_that_switches_off(test: Test) -> None:
+def test_a_drive_that_stalls_at_the_end_is_replaced_by_one_that_switches_off(test: Test) -> None:
     with energised(test):
         stopped = test.drive()
         os.kill(stopped, signal.SIGSTOP)
@@ -558,7 +558,7 @@ def test_a_drive_that_stands_still_at_the_end_is_replaced_by_one_that_switches_o
 
 
 @pytest.mark.slow
-def test_a_drive_that_stands_still_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+def test_a_drive_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
     line = line_of(test.instruments, reply_timeout_s=0.1)
     with energised(test, line=line, read_timeout_s=1.0):
         stopped = test.drive()

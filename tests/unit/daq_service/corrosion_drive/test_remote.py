@@ -132,7 +132,7 @@ def test_commands_go_through_and_their_answers_come_back(bench: Bench) -> None:
 def test_a_command_does_not_wait_for_its_answer(bench: Bench) -> None:
     bench.comes_up()
     bench.until_told(supply_quality="good")
-    bench.process = None  # it stands still
+    bench.process = None  # it stalls
     before_s = bench.now_s
     reply = bench.remote.energise("Ada")
     bench.remote.switch_off("Ada")
@@ -203,12 +203,10 @@ def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench: Ben
 
 
 @pytest.mark.parametrize("command", ["energise", "switch_off"])
-def test_a_process_that_stands_still_is_killed_and_the_output_switched_off(
-    bench: Bench, command: str
-) -> None:
+def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench: Bench, command: str) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
-    bench.process = None  # it stands still
+    bench.process = None  # it stalls
     reply = getattr(bench.remote, command)("Ada")
     assert "what the output does is unknown" in bench.answer(reply, step_s=1.0)
     assert bench.killed == 1
@@ -264,7 +262,7 @@ def test_a_process_that_kept_an_old_command_learns_that_it_has_ended(bench: Benc
     assert not bench.supply.on
 
 
-@pytest.mark.parametrize("process", ["stands still", "is gone"])
+@pytest.mark.parametrize("process", ["stalls", "is gone"])
 def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switches_off(
     bench: Bench, process: str
 ) -> None:
@@ -368,7 +366,7 @@ def test_the_guard_looks_again_at_an_output_that_was_off(guarded: Guarded) -> No
     assert guarded.started == 1
 
 
-def test_the_guard_replaces_a_process_that_stands_still_and_watches_for_nobody(guarded: Guarded) -> None:
+def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded: Guarded) -> None:
     guarded.comes_up()
     assert guarded.process is not None
     guarded.process.answer({"id": 1, **ON})
