@@ -125,7 +125,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
             on_message=on_message,
-            without_recorder=stack.enter_context(guarded_drive(settings, folder)),
+            guard=stack.enter_context(guarded_drive(settings, folder)),
         )
         with standing_by(settings, folder, watches=True):
             code = supervisor.run(stop, stay=not no_web)
@@ -263,7 +263,7 @@ def remote_drive(
 
 @contextmanager
 def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
-    """Give what to call while no recorder is there to supervise the process of the drive."""
+    """Give what keeps the process of the drive where no recorder does; it is called at every look."""
     from daq_service.corrosion_drive.guard import DriveGuard
 
     if settings.rig.driven is None:

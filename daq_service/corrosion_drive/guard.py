@@ -1,8 +1,8 @@
-"""While a test's recorder is gone for good: the supply keeps a process that supervises it.
+"""The supervisor's part in the drive: the supply keeps a process that supervises it.
 
-The drive's process switches an unwatched supply off. If it is killed or hangs before that and no recorder is
-there to replace it, the supervisor that serves the test on does so; and it looks from time to time whether an
-output that was left off has come on.
+The drive's process switches an unwatched supply off. If it is killed or hangs and the recorder, which is gone
+or hangs, does not replace it, the supervisor does so; and it looks from time to time whether an output that
+was left off has come on.
 """
 
 from __future__ import annotations
@@ -60,5 +60,4 @@ class DriveGuard:
         )
         if may_be_on or now_s - self._checked_s >= self._check_every_s:
             log.info("no process of the drive runs: one is started to look at the output")
-            self._checked_s = now_s
             self._remote.tick()

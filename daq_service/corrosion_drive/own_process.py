@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -54,6 +54,7 @@ Action = Literal["stay", "switch off", "leave"]
 Jobs = Callable[[Callable[[], None]], None]
 
 
+@cache
 def fingerprint(parameters: DriveParameters) -> str:
     """Return what must be the same in a recorder and in the process of its drive."""
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()

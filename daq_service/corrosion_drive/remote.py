@@ -212,10 +212,10 @@ class RemoteDrive:
         if request is not None:
             request.reply.error = answer.get("error", "")
             request.reply.done = not request.reply.error
+        self._starts = 0
         if "row" not in answer:
             return
-        self._newest, self._newest_s = answer, self._mono_s()
-        self._answers, self._starts = True, 0
+        self._newest, self._newest_s, self._answers = answer, self._mono_s(), True
         self._tripped, self._commanded = answer["row"]["supply_tripped"], answer.get("commanded")
         if request is not None and request.values == self._pending:
             self._pending = None  # the process itself goes on trying where it failed

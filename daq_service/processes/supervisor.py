@@ -119,8 +119,8 @@ class Supervisor:
         Wait before each restart of a child that keeps failing.
     leave_within_s
         What children that are told to leave have before they are killed.
-    without_recorder
-        Called at every look while the recorder has ended for good and the others go on.
+    guard
+        Called at every look: it does what a recorder that is missing or hangs leaves undone.
     start, read_beat, mono_ns
         How a program is started, the heartbeat of a folder read, the machine's monotonic time told.
     """
@@ -135,7 +135,7 @@ class Supervisor:
         program: Sequence[str] = PROGRAM,
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
         leave_within_s: float = LEAVE_WITHIN_S,
-        without_recorder: Callable[[], None] = lambda: None,
+        guard: Callable[[], None] = lambda: None,
         start: Starter = start_process,
         read_beat: Callable[[Path], Beat | None] = read_heartbeat,
         mono_ns: Callable[[], int] = time.monotonic_ns,
@@ -149,7 +149,7 @@ class Supervisor:
         self._program = program
         self._restart_delays_s = restart_delays_s
         self._leave_within_s = leave_within_s
-        self._without_recorder = without_recorder
+        self._guard = guard
         self._start_process = start
         self._read_beat = read_beat
         self._mono_ns = mono_ns
@@ -167,10 +167,9 @@ class Supervisor:
                         return code
                 self._pass_messages_on()
                 recorders = [child for child in self._children if child.plan.watched]
-                if recorders and all(child.finished for child in recorders):
-                    if not stay:
-                        return max(child.exit_code for child in recorders)
-                    self._without_recorder()
+                if not stay and recorders and all(child.finished for child in recorders):
+                    return max(child.exit_code for child in recorders)
+                self._guard()
                 stop.wait(LOOK_EVERY_S)
             codes = (child.exit_code for child in self._children)
             return max((code for code in codes if code != EXIT_INTERRUPTED), default=EXIT_OK)

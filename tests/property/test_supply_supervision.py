@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 from support.scripted_supply import ScriptedSupply
@@ -23,7 +23,7 @@ from support.serial_rig import TestClock
 from daq_service.corrosion_drive import kept, remote
 from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S, Reply
+from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
 from daq_service.corrosion_drive.guard import DriveGuard
 from daq_service.corrosion_drive.kept import Address, own_drive
 from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
@@ -108,7 +108,7 @@ class Started:
         self.process: Process | None = None
 
     def poll(self) -> int | None:
-        return None if self.process is None or self.process in self.world.processes else 0
+        return None if self in self.world.starting or self.process in self.world.processes else 0
 
 
 class World:
@@ -172,7 +172,7 @@ class Supervision(RuleBasedStateMachine):
         self.guarding: RemoteDrive | None = None
         self.recorder: RemoteDrive | None = None
         self.recorder_stalled = False
-        self.offs: list[Reply] = []
+        self.parameters = PLAIN
         self.on_s = self.unwanted_s = 0.0
 
     def _write(self, path: Path, content: bytes, *, temporary: Path) -> None:
@@ -197,7 +197,7 @@ class Supervision(RuleBasedStateMachine):
             self.world.clock.advance(STEP_S)
             if self.recorder is not None and not self.recorder_stalled:
                 self.recorder.tick()
-            elif self.recorder is None and self.supervisor is not None:
+            if self.supervisor is not None:
                 self.supervisor.look()
             self.world.run()
             self.check()
@@ -230,9 +230,7 @@ class Supervision(RuleBasedStateMachine):
         """Somebody runs who knows this supply's port: not the successor of another one."""
         parameters = [one.drive._parameters for one in self.world.processes if not one.stalled]
         parameters += [] if self.recorder is None else [self.recorder._parameters]
-        parameters += (
-            [] if self.guarding is None or self.recorder is not None else [self.guarding._parameters]
-        )
+        parameters += [] if self.guarding is None else [self.guarding._parameters]
         return any(one.line.port == "COM4" for one in parameters)
 
     @initialize()
@@ -308,6 +306,10 @@ class Supervision(RuleBasedStateMachine):
     @rule(configuration=st.sampled_from(["same", "another limit", "another port"]))
     def start_recorder(self, configuration: str) -> None:
         parameters, world = CONFIGURATIONS[configuration], self.world
+        if parameters is not self.parameters:
+            self.parameters = parameters
+            for _ in range(2 if self.guarding is not None else 0):
+                self.change_supervisor()  # it has the recorder's configuration
         self.recorder = RemoteDrive(
             parameters,
             self.folder,
@@ -319,7 +321,6 @@ class Supervision(RuleBasedStateMachine):
         self.recorder.begin(DriveState())
         self.pass_time(5.0)
 
-    @precondition(lambda self: self.recorder is None)
     @rule()
     def change_supervisor(self) -> None:
         """Start it, or kill it."""
@@ -327,11 +328,11 @@ class Supervision(RuleBasedStateMachine):
             self.guarding._disconnect("killed")
             self.supervisor = self.guarding = None
             return
-        world = self.world
+        world, parameters = self.world, self.parameters
         self.guarding = RemoteDrive(
-            PLAIN,
+            parameters,
             self.folder,
-            lambda: world.start(PLAIN),  # type: ignore[arg-type,return-value]
+            lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             watches=False,
             mono_s=world.mono_s,
             kill=world.kill,
@@ -348,6 +349,8 @@ def _settings(runs: int) -> settings:
         deadline=None,
         suppress_health_check=list(HealthCheck),
         print_blob=True,
+        database=None,
+        phases=(Phase.generate,),
     )
 
 

@@ -59,7 +59,7 @@ class World:
         self.running: list[Life] = []
         self.messages: list[tuple[str, Any]] = []
         self.beat: Callable[[], Beat | None] = lambda: None
-        self.without_recorder_s: list[float] = []
+        self.guarded_s: list[float] = []
         self.plans = plans
 
     def run(self, *, stay: bool = False, give_up: bool = False) -> int:
@@ -68,7 +68,7 @@ class World:
             Path("unused"),
             on_message=lambda name, message: self.messages.append((name, message)),
             give_up=give_up,
-            without_recorder=lambda: self.without_recorder_s.append(self.now_s),
+            guard=lambda: self.guarded_s.append(self.now_s),
             program=["solimon"],
             start=self._start,
             read_beat=lambda folder: self.beat(),
@@ -201,8 +201,8 @@ def test_a_test_that_has_begun_is_served_on_whatever_ends_its_recorder() -> None
     assert world.now_s >= 100.0
     assert len(world.started) == 2
     assert ("recorder", {"event": "failed", "code": 4}) in world.messages
-    assert 1.0 <= world.without_recorder_s[0] < 2.0, "its drive is looked after from then on"
-    assert world.without_recorder_s[-1] > 99.0
+    assert world.guarded_s[0] == 0.0, "its drive is guarded from the start, also while a recorder hangs"
+    assert world.guarded_s[-1] > 99.0
 
 
 def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
