@@ -41,6 +41,8 @@ class Kept:
         Longest age of a reading that is still good.
     writer
         Name of the process that wrote it.
+    supply_port
+        Port at which the supply was last read; empty: at none.
     """
 
     state: DriveState
@@ -52,6 +54,7 @@ class Kept:
     heard_boot_ns: int
     good_for_s: float = 0.0
     writer: str = ""
+    supply_port: str = ""
 
     def written_before_s(self, now_ns: int | None = None) -> float:
         """Return the time since it was written; by UTC where that was in another boot."""

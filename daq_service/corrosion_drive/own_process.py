@@ -128,6 +128,7 @@ class DriveProcess:
             self._heard_ns = max(
                 before.heard_boot_ns, now_ns - round((parameters.unwatched_s - grace_s) * NS_PER_S)
             )
+        self._read_port = "" if before is None else before.supply_port
         self._kept: Kept | None = None
         self._written: Kept | None = None
         self._writer = secrets.token_hex(8)
@@ -170,6 +171,8 @@ class DriveProcess:
         """Keep the state for the next process; a disk that takes nothing changes nothing here."""
         kept, now_ns, row = self._kept, self._clock.mono_ns(), self._drive.row(0, 0.0)
         state = self._drive.state
+        if row.supply_age_s is not None:
+            self._read_port = self._supply_port
         changed = kept is None or _latched(state) != _latched(kept.state) or row.supply_state != kept.output
         every_s = KEEP_AGAIN_S if self._disk else KEEP_EVERY_S
         if not (at_once or changed or now_ns - self._kept_ns >= every_s * NS_PER_S):
@@ -182,6 +185,7 @@ class DriveProcess:
             boot_ns=now_ns,
             heard_boot_ns=self._heard_ns,
             writer=self._writer,
+            supply_port=self._read_port,
             good_for_s=LONGEST_GAP_INTERVALS * self._parameters.log_interval_s + KEEP_EVERY_S,
         )
         self._jobs(partial(self._write, self._kept))
@@ -223,21 +227,27 @@ class DriveProcess:
     # Hand-over ---------------------------------------------------------------------------------------
 
     def _hand_over(self, successor_port: str) -> None:
-        """Release port and lock; before that switch off what a successor with another port cannot reach."""
+        """Release port and lock; before that switch off what a successor with another port cannot reach.
+
+        A supply that was never read at this port is released at once: the successor may reach it. With
+        another port nothing is left to do here.
+        """
         is_off = self._drive.state.command is None and self._drive.output() == "off"
-        if successor_port != self._supply_port and not is_off:
+        elsewhere, reached = successor_port != self._supply_port, self._read_port == self._supply_port
+        if reached and elsewhere and not is_off:
             try:
                 self._drive.switch_off("the recorder's change to another port")
             except InstrumentError as error:
                 log.error("not handed over, the output may be ON: %s", error)
             return
-        if self._drive.must_switch_off:
+        if reached and self._drive.must_switch_off:
             return
-        if self._written is not self._kept and not self._disk:
+        if reached and self._written is not self._kept and not self._disk:
             return  # the successor goes on from what is written
         log.warning("port and lock are released; a successor must read within %g s", SUCCEEDED_WITHIN_S)
         self.close()
         self._released_ns = self._kept_ns = self._clock.mono_ns()
+        self.leaves = elsewhere
 
     def _await_successor(self, released_ns: int) -> None:
         """Leave once the successor has read the supply; if it does not in time, switch off from here."""

@@ -193,7 +193,8 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
     with open_catalogue(tmp_path) as catalogue:
         sets = catalogue.rows(SetRow, position="D")
         starts = catalogue.events_after(0, {"service"}, limit=None)
-    (restart,) = [row.payload["before"] for row in starts if row.kind == "recorder_started"][1:]
+    # A busy machine may take so long for the start that it counts as hung, too.
+    restart = [row.payload["before"] for row in starts if row.kind == "recorder_started"][-1]
     assert "hung while taking set" in restart
     missed = [row for row in sets if row.state == "missed"]
     assert missed, "the sets of that time are gaps in the ledger"

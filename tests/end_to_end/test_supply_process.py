@@ -25,8 +25,9 @@ from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
 from daq_service.cli.run import remote_drive, start_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
+from daq_service.corrosion_drive.channel import connect
 from daq_service.corrosion_drive.guard import LOOK_EVERY_S, DriveGuard
-from daq_service.corrosion_drive.kept import look_at_drive
+from daq_service.corrosion_drive.kept import address_of, look_at_drive
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
@@ -525,19 +526,28 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
         until(lambda: test.alarms()["supply_switch_off_pending"].state != "unacknowledged", "its return")
 
 
-@pytest.mark.parametrize(
-    "successor", ["with another port", pytest.param("that reads nothing", marks=pytest.mark.slow)]
-)
-def test_a_successor_that_never_reaches_the_supply_leaves_it_off(test: Test, successor: str) -> None:
-    settings = test.settings(off_at_end=False)
-    test.run_switched_on(settings)
+def test_before_a_successor_with_another_port_it_switches_off(test: Test) -> None:
+    test.run_switched_on(test.settings(off_at_end=False))
     assert test.instruments.supply.on
-    wrong = (
-        {"line": {"port": "/dev/solimon-absent"}} if successor == "with another port" else {"identity": "NO"}
-    )
-    with test.recording(test.settings(off_at_end=False, **wrong)):
+    line = {"port": "/dev/solimon-absent"}
+    with test.recording(test.settings(off_at_end=False, unwatched_s=3.0, line=line)):
         until(lambda: not test.instruments.supply.on, "the old process switches off")
+    until(test.drive_has_left, "nothing is left to supervise")
     assert test.switchings() == [True, False]
+
+
+@pytest.mark.slow
+def test_without_a_successor_that_reads_the_supply_it_switches_off(test: Test) -> None:
+    """A successor without rights, or one that crashes before its first reading."""
+    test.run_switched_on(test.settings(off_at_end=False, unwatched_s=600.0))
+    address = address_of(test.folder)
+    connection = connect(address.port, bytes.fromhex(address.key))
+    port = test.settings().rig.supply.line.port
+    connection.send({"id": 1, "do": "hand over", "why": "a test", "supply_port": port})
+    until(lambda: is_owned(test.folder, DRIVE_LOCK) is False, "port and lock are released")
+    assert test.instruments.supply.on
+    until(lambda: not test.instruments.supply.on, "no successor has read")
+    connection.close()
 
 
 def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:

@@ -44,7 +44,8 @@ def rig(tmp_path):
         rig.drive.energise("Ada")
         rig.run(100.0)
         yield rig
-        assert [cause for on, cause in rig.switched() if on] == ["command"], "one order, one switching on"
+        commanded = [cause for on, cause in rig.switched() if on and cause == "command"]
+        assert commanded == ["command"], "one command, one switching on"
 
 
 def test_charge_and_climate_come_from_the_instruments(rig):
