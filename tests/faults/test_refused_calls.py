@@ -121,6 +121,7 @@ def test_each_refused_opening_is_reported_also_where_a_second_try_helps(followed
     ]
     found = followed(cases, tmp_path)
     assert [case_of(told) for told in found if told["refusals"] and not is_reported(told)] == []
+    assert [(case_of(told), faults) for told in found if (faults := wrong(told))] == []
 
 
 @pytest.mark.slow

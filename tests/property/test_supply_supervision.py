@@ -29,7 +29,7 @@ from daq_service.corrosion_drive.kept import Address, own_drive
 from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import RemoteDrive, answered_within_s
 from daq_service.errors import BusyError, RigError
-from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
@@ -153,6 +153,8 @@ class World:
             if not process.stalled:
                 process.run()
             if process.drive.leaves:
+                drive = process.drive
+                assert drive._succeeded or drive._drive.output() != "on", "it leaves an output on"
                 process.die()
 
 
@@ -235,7 +237,7 @@ class Supervision(RuleBasedStateMachine):
 
     @initialize()
     def begins(self) -> None:
-        self.start_recorder("same")
+        self.start_recorder("same", 5.0)
         self.change_supervisor()
         self.command("on")
 
@@ -267,17 +269,19 @@ class Supervision(RuleBasedStateMachine):
 
     # Faults ------------------------------------------------------------------------------------------
 
-    @rule(what=st.sampled_from(["link", "disk"]))
+    @rule(what=st.sampled_from(["link", "link", "disk", "disk", "file"]))
     def link_or_disk_fails_or_returns(self, what: str) -> None:
-        if what == "disk":
+        if what == "file":
+            (self.folder / DRIVE_FILE).write_bytes(b"torn")
+        elif what == "disk":
             self.world.disk_hangs = not self.world.disk_hangs
         else:
             self.world.supply.error = LOST if self.world.supply.error is None else None
 
     @precondition(lambda self: self.world.processes)
-    @rule(what=st.sampled_from(["kill", "stall", "stall", "resume", "stop"]))
-    def process_suffers(self, what: str) -> None:
-        process: Any = self.world.processes[-1]
+    @rule(what=st.sampled_from(["kill", "stall", "stall", "resume", "stop"]), newest=st.booleans())
+    def process_suffers(self, what: str, newest: bool) -> None:
+        process: Any = self.world.processes[-1 if newest else 0]
         if what == "kill":
             process.die()
         elif what == "stop" and not process.stalled:
@@ -302,9 +306,19 @@ class Supervision(RuleBasedStateMachine):
         self.recorder._disconnect("killed")
         self.recorder, self.recorder_stalled = None, False
 
+    @precondition(lambda self: self.recorder is None and self.world.processes)
+    @rule()
+    def successor_dies_before_it_reads(self) -> None:
+        error, self.world.supply.error = self.world.supply.error, LOST
+        self.start_recorder("another limit", 2.0)
+        self.recorder_suffers("kill")
+        for process in self.world.processes[1:]:
+            process.die()
+        self.world.supply.error = error
+
     @precondition(lambda self: self.recorder is None)
-    @rule(configuration=st.sampled_from(["same", "another limit", "another port"]))
-    def start_recorder(self, configuration: str) -> None:
+    @rule(configuration=st.sampled_from(list(CONFIGURATIONS)), seconds=st.sampled_from([1.0, 2.0, 5.0]))
+    def start_recorder(self, configuration: str, seconds: float) -> None:
         parameters, world = CONFIGURATIONS[configuration], self.world
         if parameters is not self.parameters:
             self.parameters = parameters
@@ -319,7 +333,7 @@ class Supervision(RuleBasedStateMachine):
             kill=world.kill,
         )
         self.recorder.begin(DriveState())
-        self.pass_time(5.0)
+        self.pass_time(seconds)
 
     @rule()
     def change_supervisor(self) -> None:
