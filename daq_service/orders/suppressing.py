@@ -28,16 +28,13 @@ Reason = Annotated[
     Field(min_length=1, max_length=500, json_schema_extra=SEEN, description="Why; shown to everybody"),
     AfterValidator(partial(require_written, message="give the reason")),
 ]
-ShelfHours = Annotated[
-    float, Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")
-]
 
 
 class ShelfArguments(Strict):
     """Which alarm, for how long, and why."""
 
     alarm_id: int = Field(ge=1, le=LARGEST_ID)
-    for_h: ShelfHours
+    for_h: float = Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")
     reason: Reason
 
 
