@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from daq_service.cli.reproduce import style
 from daq_service.cli.reproduce.evidence import Evidence, FloatArray, PulseEchoes, SolitaryWaves
 from daq_service.cli.reproduce.item import (
     Found,
@@ -19,17 +20,6 @@ from daq_service.cli.reproduce.item import (
     missing,
 )
 from daq_service.cli.reproduce.paper_values import printed
-from daq_service.cli.reproduce.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    PAPER_MARK,
-    VERMILLION,
-    colour_of,
-    name_panels,
-    sheet,
-)
 
 SPLIT_H = 100.0
 """The paper counts outliers after this hour."""
@@ -53,13 +43,13 @@ def draw_fig14(material: Material) -> Product:
             if test.baseline_h is not None
             else f"no baseline was frozen up to hour {test.last_h:g}"
         )
-    figure, axes = sheet(1, len(names), height_in=3.6, sharex=True, sharey=True)
+    figure, axes = style.sheet(1, len(names), height_in=3.6, sharex=True, sharey=True)
     for axis, name in zip(axes, names, strict=True):
-        _distances(axis, test.pulses[name], test.baseline_h, colour_of(name, names))
+        _distances(axis, test.pulses[name], test.baseline_h, style.colour_of(name, names))
     axes[0].set_ylabel("Mahalanobis squared distance (1)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    name_panels(axes, [f"position {name}" for name in names])
+    style.name_panels(axes, [f"position {name}" for name in names])
     columns: dict[str, list[Any]] = {}
     for name in names:
         pulses = test.pulses[name]
@@ -84,19 +74,19 @@ def draw_fig14(material: Material) -> Product:
 def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colour: str) -> None:
     distance = pulses.values["distance_squared"]
     if baseline_h is not None:
-        axis.axvspan(0.0, baseline_h, color=GREEN, alpha=0.12, lw=0, label="baseline")
+        axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
     last_h = float(pulses.hour_h[-1]) if pulses.hour_h.size else 0.0
     if last_h > SPLIT_H:
-        axis.axvspan(SPLIT_H, last_h, color=VERMILLION, alpha=0.08, lw=0, label="counted: after 100 h")
+        axis.axvspan(SPLIT_H, last_h, color=style.VERMILLION, alpha=0.08, lw=0, label="counted: after 100 h")
     axis.plot(pulses.hour_h, distance, ".", color=colour, ms=2.5, label="our sets")
     for column, dash, told in (("limit_paper", "--", "our mean + 3 SD"), ("limit_f", "-", "exact limit (F)")):
         limit = _limit(pulses, column)
         if limit is not None:
-            axis.axhline(limit, color=BLACK, lw=1.0, ls=dash, label=told)
+            axis.axhline(limit, color=style.BLACK, lw=1.0, ls=dash, label=told)
     if pulses.position in ("B", "C", "D"):
         for source, dash in (("text", ":"), ("caption", "-.")):
             value = printed("fig14", f"limit_{source}_{pulses.position}")
-            axis.axhline(value, color=GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
+            axis.axhline(value, color=style.GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
     axis.set(xlabel="hour of the test (h)", yscale="log")
 
 
@@ -173,10 +163,10 @@ def draw_fig15(material: Material) -> Product:
     if not test.echoes:
         raise NotAvailableError("the test has no position with method pulse_echo")
     probe = next(iter(test.echoes.values()))
-    figure, axes = sheet(1, 2, height_in=3.4)
+    figure, axes = style.sheet(1, 2, height_in=3.4)
     travel, loss = axes
-    colour = colour_of(probe.position, list(test.echoes))
-    travel.plot(probe.hour_h, 1e6 * probe.travel_time_s, ".", color=GREY, ms=6.0, label="travel time")
+    colour = style.colour_of(probe.position, list(test.echoes))
+    travel.plot(probe.hour_h, 1e6 * probe.travel_time_s, ".", color=style.GREY, ms=6.0, label="travel time")
     travel.set(xlabel="hour of the test (h)", ylabel="ultrasonic travel time (µs)")
     wall = travel.twinx()
     wall.grid(visible=False)
@@ -186,29 +176,29 @@ def draw_fig15(material: Material) -> Product:
     loss.plot(probe.hour_h, 1e3 * probe.thickness_loss_m, ".", color=colour, ms=2.5, label="loss, eq. 17")
     truth = _true_thickness(test, probe.position)
     if truth is not None:
-        wall.plot(truth[0], 1e3 * truth[1], color=BLUE, lw=1.0, label="the twin's true wall")
+        wall.plot(truth[0], 1e3 * truth[1], color=style.BLUE, lw=1.0, label="the twin's true wall")
         if probe.initial_thickness_m is not None:
             loss.plot(
-                truth[0], 1e3 * (probe.initial_thickness_m - truth[1]), color=BLUE, lw=1.0, label="true"
+                truth[0], 1e3 * (probe.initial_thickness_m - truth[1]), color=style.BLUE, lw=1.0, label="true"
             )
     line = _line(probe)
     if line is not None:
         hours = np.array([0.0, probe.hour_h[-1]])
-        loss.plot(hours, 1e3 * (line[0] + line[1] * hours), color=BLACK, lw=1.0, label="our line")
+        loss.plot(hours, 1e3 * (line[0] + line[1] * hours), color=style.BLACK, lw=1.0, label="our line")
     if probe.position == "A":
         read_mm, core_mm = printed("fig15", "thickness_300"), printed("fig15", "core")
-        wall.plot([READ_H], [read_mm], **PAPER_MARK, label="paper, read at 300 h")
+        wall.plot([READ_H], [read_mm], **style.PAPER_MARK, label="paper, read at 300 h")
         end_h, initial_mm = printed("table1", "end"), printed("fig15", "initial")
-        core_mark = {**PAPER_MARK, "marker": "s"}
+        core_mark = {**style.PAPER_MARK, "marker": "s"}
         wall.plot([end_h], [core_mm], **core_mark, label="paper, cored at the end")
-        loss.plot([READ_H], [initial_mm - read_mm], **PAPER_MARK)
+        loss.plot([READ_H], [initial_mm - read_mm], **style.PAPER_MARK)
         loss.plot([end_h], [initial_mm - core_mm], **core_mark)
     loss.set(xlabel="hour of the test (h)", ylabel="loss of thickness (mm)")
     handles, labels = travel.get_legend_handles_labels()
     more, told = wall.get_legend_handles_labels()
     wall.legend([*handles, *more], [*labels, *told], loc="lower left")
     loss.legend(loc="upper left")
-    name_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
+    style.name_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
     columns: dict[str, Any] = {
         "set_index": probe.set_index,
         "due_h": probe.hour_h,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 
-from daq_service.cli.reproduce import models
+from daq_service.cli.reproduce import models, style
 from daq_service.cli.reproduce.item import (
     Found,
     Item,
@@ -22,17 +22,6 @@ from daq_service.cli.reproduce.item import (
     missing,
 )
 from daq_service.cli.reproduce.paper_values import SENSORS, printed
-from daq_service.cli.reproduce.style import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PAPER_LINE,
-    PAPER_MARK,
-    SKY,
-    VERMILLION,
-    name_panels,
-    sheet,
-)
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -53,19 +42,19 @@ def draw_fig10(material: Material) -> Product:
     """Restitution and contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
-    figure, axes = sheet(1, 2, height_in=3.0)
+    figure, axes = style.sheet(1, 2, height_in=3.0)
     for axis, name, closed, equation, quantity in (
         (axes[0], "e_eq8", "e_eq10", "eq. 10", "e_case_3"),
         (axes[1], "tau_c_eq8", "tau_c_eq12", "eq. 12", "tau_c_case_3"),
     ):
-        axis.plot(columns["inelasticity"], columns[name], color=BLUE, label="eq. 8, numerically")
-        axis.plot(columns["inelasticity"], columns[closed], color=VERMILLION, ls="--", label=equation)
-        axis.plot([CASE_3], [printed("fig10", quantity)], **PAPER_MARK, label="paper, Table 2 case 3")
+        axis.plot(columns["inelasticity"], columns[name], color=style.BLUE, label="eq. 8, numerically")
+        axis.plot(columns["inelasticity"], columns[closed], color=style.VERMILLION, ls="--", label=equation)
+        axis.plot([CASE_3], [printed("fig10", quantity)], **style.PAPER_MARK, label="paper, Table 2 case 3")
         axis.set(xlabel="inelasticity parameter lambda (1)", xlim=(0.0, 2.0))
         axis.legend()
     axes[0].set_ylabel("coefficient of restitution e (1)")
     axes[1].set_ylabel("contact time tau_c (1)")
-    name_panels(axes, ("restitution", "contact time"))
+    style.name_panels(axes, ("restitution", "contact time"))
     return Product(
         drawing=figure,
         tables={"": Table(columns=columns)},
@@ -90,11 +79,11 @@ def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str)
 # Figure 12 --------------------------------------------------------------------------------------
 
 _ISW_CURVES = (
-    ("disk", "coupled model, sensor two disks", BLUE, "-"),
-    ("sphere", "coupled model, sensor a sphere", SKY, "-"),
-    ("disk_gamma", "the same disks, gamma 1,000 N s/m at the plate", VERMILLION, "-"),
-    ("zener_eq8", "Zener, eq. 8", GREEN, "--"),
-    ("zener_closed", "Zener, eqs 10 and 12", ORANGE, ":"),
+    ("disk", "coupled model, sensor two disks", style.BLUE, "-"),
+    ("sphere", "coupled model, sensor a sphere", style.SKY, "-"),
+    ("disk_gamma", "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-"),
+    ("zener_eq8", "Zener, eq. 8", style.GREEN, "--"),
+    ("zener_closed", "Zener, eqs 10 and 12", style.ORANGE, ":"),
 )
 
 
@@ -108,17 +97,17 @@ def draw_fig12(material: Material) -> Product:
             else (ratio, 1e6 * shot.tof_s, shot.amplitude_ratio)
             for ratio, shot in material.result(name)
         ]
-    figure, axes = sheet(1, 2, height_in=4.1)
+    figure, axes = style.sheet(1, 2, height_in=4.1)
     for name, told, colour, dash in _ISW_CURVES:
         ratio, tof_us, ar = (list(column) for column in zip(*curves[name], strict=True))
         axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=told)
         axes[1].plot(ratio, ar, color=colour, ls=dash)
     for axis, quantities in ((axes[0], ("tof", "tof_zener")), (axes[1], ("ar", "ar_zener", "ar_measured"))):
         for quantity in quantities:
-            axis.plot([1.0], [printed("fig12", quantity)], **PAPER_MARK)
+            axis.plot([1.0], [printed("fig12", quantity)], **style.PAPER_MARK)
         _band(axis, *(("tof", "tof_plus") if axis is axes[0] else ("ar", "ar_plus")))
         axis.set(xlabel="ISW amplitude over the nominal one (1)")
-    axes[0].plot([], [], **PAPER_MARK, label="paper's values; dashed: its model's ± band")
+    axes[0].plot([], [], **style.PAPER_MARK, label="paper's values; dashed: its model's ± band")
     axes[0].set_ylabel("time of flight (µs)")
     axes[1].set_ylabel("amplitude ratio (1)")
     for axis, text, quantity, side in (
@@ -130,7 +119,7 @@ def draw_fig12(material: Material) -> Product:
     ):
         _name_mark(axis, text, printed("fig12", quantity), side)
     figure.legend(loc="outside lower center", ncols=2)
-    name_panels(axes, ("time of flight", "amplitude ratio"))
+    style.name_panels(axes, ("time of flight", "amplitude ratio"))
     return Product(drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves))
 
 
@@ -149,7 +138,7 @@ def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
 def _band(axis: Axes, nominal: str, spread: str) -> None:
     value, percent = printed("fig12", nominal), printed("fig12", spread)
     for sign in (-1.0, 1.0):
-        axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **PAPER_LINE)
+        axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
 
 
 def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> Table:
@@ -185,11 +174,11 @@ def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> di
 # Figure 13 --------------------------------------------------------------------------------------
 
 _DEPTH_CURVES = (
-    ("mindlin_sphere", "plate theory, sensor a sphere", SKY, "-", DEPTHS),
-    ("mindlin_disk", "plate theory, sensor two disks", BLUE, "-", DEPTHS),
-    ("mindlin_disk_large", "plate theory, disks, patch of 50.8 mm (C)", GREEN, "-.", DEPTHS),
-    ("solid_sphere", "solid, sensor a sphere", ORANGE, "--", SOLID_DEPTHS),
-    ("solid_disk", "solid, sensor two disks", VERMILLION, "--", SOLID_DEPTHS),
+    ("mindlin_sphere", "plate theory, sensor a sphere", style.SKY, "-", DEPTHS),
+    ("mindlin_disk", "plate theory, sensor two disks", style.BLUE, "-", DEPTHS),
+    ("mindlin_disk_large", "plate theory, disks, patch of 50.8 mm (C)", style.GREEN, "-.", DEPTHS),
+    ("solid_sphere", "solid, sensor a sphere", style.ORANGE, "--", SOLID_DEPTHS),
+    ("solid_disk", "solid, sensor two disks", style.VERMILLION, "--", SOLID_DEPTHS),
 )
 _TOLD = {name: told for name, told, *_ in _DEPTH_CURVES}
 
@@ -219,7 +208,7 @@ def draw_fig13(material: Material) -> Product:
             absent[name] = str(error)
         else:
             curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in shots]
-    figure, axes = sheet(1, 2, height_in=4.3)
+    figure, axes = style.sheet(1, 2, height_in=4.3)
     for name, told, colour, dash, _ in _DEPTH_CURVES:
         if name not in curves:
             continue
@@ -229,14 +218,15 @@ def draw_fig13(material: Material) -> Product:
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
             ends = [printed("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
-            axis.plot([0, 80], ends, **{**PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8},
-                      label=f"paper, {program} (ends only)" if axis is axes[0] else None)  # fmt: skip
+            look = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
+            label = f"paper, {program} (ends only)" if axis is axes[0] else None
+            axis.plot([0, 80], ends, **look, label=label)
     for axis in axes:
         axis.set(xlabel="depth of the patch (% of the thickness)")
     axes[0].set_ylabel("time of flight (µs)")
     axes[1].set_ylabel("amplitude ratio (1)")
     figure.legend(loc="outside lower center", ncols=2)
-    name_panels(axes, ("time of flight", "amplitude ratio"))
+    style.name_panels(axes, ("time of flight", "amplitude ratio"))
     return Product(
         drawing=figure,
         tables={"": _curve_table(curves, "depth_fraction")},

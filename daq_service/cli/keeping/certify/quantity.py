@@ -18,7 +18,7 @@ MOST_BLOCKS = 300
 CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Quantity:
     """One number.
 
@@ -29,23 +29,29 @@ class Quantity:
     text, unit, how
         What it is, in words; its unit, "1" for a mere number; how it was computed.
     value
-        None: there is none, and ``missing`` says why.
+        None: there is none.
+    missing
+        Why there is no value; of one that there is, it is left empty.
     low, high
         Ends of its interval; None: it is known as it stands.
     applies
         False: nothing of the kind can be measured here, so no criterion asks for it.
     """
 
-    name: str
     section: str
+    name: str
     text: str
     unit: str
     how: str
     value: float | int | None = None
+    missing: str = ""
     low: float | None = None
     high: float | None = None
-    missing: str = ""
     applies: bool = True
+
+    def __post_init__(self) -> None:
+        if self.value is not None:
+            object.__setattr__(self, "missing", "")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +62,7 @@ class Table:
     title: str
     columns: tuple[str, ...]
     rows: Sequence[tuple[Any, ...]]
-    empty: str
+    empty: str = "none"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
