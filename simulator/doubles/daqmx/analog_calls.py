@@ -38,12 +38,8 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     device, number = bench.devices.channel(arguments["physical_channel"], "ai")
     configuration = arguments["terminal_config"]
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
-        raise Status(
-            statuses.INVALID_VALUE,
-            f"Property: AI.TermCfg\nRequested Value: {configuration}\n"
-            f"You Can Select: {device.kind.terminal_configuration}",
-            task=task.name,
-        )
+        detail = f"You Can Select: {device.kind.terminal_configuration}"
+        raise statuses.unfit(task.name, "AI.TermCfg", detail, requested=configuration)
     task.take_channel(
         "ai",
         InputChannel(
@@ -70,12 +66,8 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
-        raise Status(
-            statuses.INVALID_VALUE,
-            f"Property: SampClk.Src\nRequested Value: {arguments['source']}\n"
-            "The double samples by the board's own clock only.",
-            task=task.name,
-        )
+        detail = "The double samples by the board's own clock only."
+        raise statuses.unfit(task.name, "SampClk.Src", detail, requested=arguments["source"])
     _change(
         task,
         {

@@ -105,11 +105,9 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
         raise Status(statuses.WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
     timeout_s = arguments["timeout"]
     if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
-        raise Status(
-            statuses.WATCHDOG_TIMEOUT_OUT_OF_RANGE,
-            f"Property: Watchdog.Timeout\nRequested Value: {timeout_s}\nMaximum Value: {LONGEST_TIMEOUT_S}",
-            task=arguments["session_name"],
-        )
+        session, name = arguments["session_name"], "Watchdog.Timeout"
+        code = statuses.WATCHDOG_TIMEOUT_OUT_OF_RANGE
+        raise statuses.unfit(session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S)
     task = tasks.create(bench, client, arguments["session_name"])
     task.take_channel("watchdog", WatchedBoard(name=device.name, device=device))
     task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
@@ -134,11 +132,8 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
         if device is not task.device:
             raise Status(statuses.DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
         if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
-            raise Status(
-                statuses.INVALID_VALUE,
-                f"Property: Watchdog.DO.ExpirState\nRequested Value: {state} on {device.name}",
-                task=task.name,
-            )
+            name, requested = "Watchdog.DO.ExpirState", f"{state} on {device.name}"
+            raise statuses.unfit(task.name, name, requested=requested)
     task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
 
 
