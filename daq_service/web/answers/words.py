@@ -188,7 +188,8 @@ WORDS: Mapping[str, str] = {
     "first_outlier_set_index": "First outlier of each bin; null: it has none",
     "first_alarm_set_index": "First set of each bin with an alarm; null: it has none",
     # Orders, tokens, audit.
-    "CommandRow.kind": "What is ordered",
+    "kind": "What is ordered",
+    "arguments": "What the order is about",
     "CommandRow.arguments": "What the order is about, by kind",
     "AuditEntry.arguments": "What was asked for, without what opens",
     "author": "Who gives the order; with a token its name, whatever is said here",
@@ -226,17 +227,6 @@ WORDS: Mapping[str, str] = {
     # Parameters alone.
     "list_sets.state": "Only sets that became this",
     "revoke_token.name": "Whose token",
-    # Orders, one schema a kind.
-    **{
-        f"{order}.{name}": told
-        for order in (
-            *("AcknowledgeAlarm", "Confirm", "FinishNow", "Hold", "Reinstate", "Release"),
-            *("ApproveBaseline", "RenewBaseline", "Retire", "Stop", "SupplyOff", "SupplyOn", "TrustClock"),
-            *("Annotate", "WithdrawAnnotation", "ShelveAlarm", "UnshelveAlarm"),
-            *("TakeOutOfService", "ReturnToService"),
-        )
-        for name, told in (("kind", "What is ordered"), ("arguments", "What the order is about"))
-    },
     # Suppressed alarms, and notes.
     "suppressed_by": "Who shelved it or took it out of service; null: nobody",
     "suppressed_because": "Why; null: it is not suppressed",
