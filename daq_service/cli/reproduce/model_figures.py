@@ -9,18 +9,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 
-from daq_service.cli.reproduce import models, style
-from daq_service.cli.reproduce.item import (
-    Found,
-    Item,
-    Job,
-    Material,
-    NotAvailableError,
-    Product,
-    Table,
-    found,
-    missing,
-)
+from daq_service.cli.reproduce import item, models, style
 from daq_service.cli.reproduce.paper_values import SENSORS, printed
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -38,7 +27,7 @@ _PLATE = PlateParameters()
 _GRID = tuple(float(x) for x in np.linspace(0.0, 2.0, 41))
 
 
-def draw_fig10(material: Material) -> Product:
+def draw_fig10(material: item.Material) -> item.Product:
     """Restitution and contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
@@ -55,12 +44,12 @@ def draw_fig10(material: Material) -> Product:
     axes[0].set_ylabel("coefficient of restitution e (1)")
     axes[1].set_ylabel("contact time tau_c (1)")
     style.name_panels(axes, ("restitution", "contact time"))
-    return Product(
+    return item.Product(
         drawing=figure,
-        tables={"": Table(columns=columns)},
+        tables={"": item.Table(columns=columns)},
         found={
-            "e_case_3": found(case_3["e_eq8"][0], "eq. 8"),
-            "tau_c_case_3": found(case_3["tau_c_eq8"][0], "eq. 8"),
+            "e_case_3": item.found(case_3["e_eq8"][0], "eq. 8"),
+            "tau_c_case_3": item.found(case_3["tau_c_eq8"][0], "eq. 8"),
         },
         notes=(
             (
@@ -87,7 +76,7 @@ _ISW_CURVES = (
 )
 
 
-def draw_fig12(material: Material) -> Product:
+def draw_fig12(material: item.Material) -> item.Product:
     """ToF and AR over the amplitude of the incident wave."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     for name, *_ in _ISW_CURVES:
@@ -120,7 +109,9 @@ def draw_fig12(material: Material) -> Product:
         _name_mark(axis, text, printed("fig12", quantity), side)
     figure.legend(loc="outside lower center", ncols=2)
     style.name_panels(axes, ("time of flight", "amplitude ratio"))
-    return Product(drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves))
+    return item.Product(
+        drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves)
+    )
 
 
 def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
@@ -141,13 +132,15 @@ def _band(axis: Axes, nominal: str, spread: str) -> None:
         axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
 
 
-def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> Table:
+def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> item.Table:
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", over, "tof_us", "amplitude_ratio")
-    return Table(columns=dict(zip(names, (list(column) for column in zip(*rows, strict=True)), strict=True)))
+    return item.Table(
+        columns=dict(zip(names, (list(column) for column in zip(*rows, strict=True)), strict=True))
+    )
 
 
-def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> dict[str, Found]:
+def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> dict[str, item.Found]:
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     tof_us, ar = at["disk"][1.0]
     change = {
@@ -157,17 +150,17 @@ def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> di
     }
     strong_tof_us, strong_ar = at["disk_gamma"][1.0]
     return {
-        "tof_plus": found(abs(change[1.2, 0]), f"{change[1.2, 0]:+.2f} %"),
-        "tof_minus": found(abs(change[0.8, 0]), f"{change[0.8, 0]:+.2f} %"),
-        "ar_plus": found(abs(change[1.2, 1]), f"{change[1.2, 1]:+.2f} %"),
-        "ar_minus": found(abs(change[0.8, 1]), f"{change[0.8, 1]:+.2f} %"),
-        "tof": found(tof_us, "sensor two disks"),
-        "ar": found(ar, "sensor two disks"),
-        "tof_zener": found(at["zener_eq8"][1.0][0], "eq. 8"),
-        "ar_zener": found(at["zener_eq8"][1.0][1], "eq. 8"),
-        "ar_measured": found(ar, "our model beside the paper's measurement"),
-        "gamma_tof": found(strong_tof_us - tof_us, f"{100 * (strong_tof_us / tof_us - 1):+.1f} %"),
-        "gamma_ar": found(strong_ar - ar, f"{100 * (strong_ar / ar - 1):+.0f} %"),
+        "tof_plus": item.found(abs(change[1.2, 0]), f"{change[1.2, 0]:+.2f} %"),
+        "tof_minus": item.found(abs(change[0.8, 0]), f"{change[0.8, 0]:+.2f} %"),
+        "ar_plus": item.found(abs(change[1.2, 1]), f"{change[1.2, 1]:+.2f} %"),
+        "ar_minus": item.found(abs(change[0.8, 1]), f"{change[0.8, 1]:+.2f} %"),
+        "tof": item.found(tof_us, "sensor two disks"),
+        "ar": item.found(ar, "sensor two disks"),
+        "tof_zener": item.found(at["zener_eq8"][1.0][0], "eq. 8"),
+        "ar_zener": item.found(at["zener_eq8"][1.0][1], "eq. 8"),
+        "ar_measured": item.found(ar, "our model beside the paper's measurement"),
+        "gamma_tof": item.found(strong_tof_us - tof_us, f"{100 * (strong_tof_us / tof_us - 1):+.1f} %"),
+        "gamma_ar": item.found(strong_ar - ar, f"{100 * (strong_ar / ar - 1):+.0f} %"),
     }
 
 
@@ -183,7 +176,7 @@ _DEPTH_CURVES = (
 _TOLD = {name: told for name, told, *_ in _DEPTH_CURVES}
 
 
-def _depth_jobs() -> dict[str, Job]:
+def _depth_jobs() -> dict[str, item.Job]:
     jobs = {}
     for name, _, _, _, depths in _DEPTH_CURVES:
         model, sensor, *large = name.split("_")
@@ -191,11 +184,13 @@ def _depth_jobs() -> dict[str, Job]:
             continue
         patch = CorrosionParameters(size_m=50.8e-3 if large else 25.4e-3)
         plate = models.plate_of_model(model)
-        jobs[name] = Job(function=models.pulses_over_depth, arguments=(_CHAINS[sensor], plate, patch, depths))
+        jobs[name] = item.Job(
+            function=models.pulses_over_depth, arguments=(_CHAINS[sensor], plate, patch, depths)
+        )
     return jobs
 
 
-def draw_fig13(material: Material) -> Product:
+def draw_fig13(material: item.Material) -> item.Product:
     """ToF and AR over the relative depth of the patch."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     absent: dict[str, str] = {}
@@ -204,7 +199,7 @@ def draw_fig13(material: Material) -> Product:
             shots = material.result(name)
         except KeyError:
             absent[name] = "this version has no plate.model = 'solid'"
-        except NotAvailableError as error:
+        except item.NotAvailableError as error:
             absent[name] = str(error)
         else:
             curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in shots]
@@ -227,7 +222,7 @@ def draw_fig13(material: Material) -> Product:
     axes[1].set_ylabel("amplitude ratio (1)")
     figure.legend(loc="outside lower center", ncols=2)
     style.name_panels(axes, ("time of flight", "amplitude ratio"))
-    return Product(
+    return item.Product(
         drawing=figure,
         tables={"": _curve_table(curves, "depth_fraction")},
         found=_depth_found(curves, absent),
@@ -240,8 +235,8 @@ def draw_fig13(material: Material) -> Product:
 
 def _depth_found(
     curves: Mapping[str, Sequence[tuple[float, float, float]]], absent: Mapping[str, str]
-) -> dict[str, Found]:
-    values: dict[str, Found] = {}
+) -> dict[str, item.Found]:
+    values: dict[str, item.Found] = {}
     for model in ("mindlin", "solid"):
         for sensor, _ in SENSORS:
             name = f"{model}_{sensor}"
@@ -249,10 +244,10 @@ def _depth_found(
                 for depth, ending in ((0.0, "0"), (0.8, "80")):
                     key = f"{name}_{kind}_{ending}"
                     if name in absent:
-                        values[key] = missing(absent[name])
+                        values[key] = item.missing(absent[name])
                         continue
                     at = {round(point[0], 6): point[column] for point in curves[name]}
-                    values[key] = found(at[depth])
+                    values[key] = item.found(at[depth])
     return values
 
 
@@ -265,34 +260,34 @@ def _turning(name: str, points: Sequence[tuple[float, float, float]]) -> str:
     )
 
 
-FIG10 = Item(
+FIG10 = item.Item(
     name="fig10",
     title="Figure 10. Coefficient of restitution and contact time",
     shows="Zener's equation 8 solved numerically, and the closed forms of equations 10 (up to lambda = 1) "
     "and 12.",
     make=draw_fig10,
     jobs={
-        "curve": Job(function=models.impact_over_inelasticity, arguments=(_GRID,)),
-        "case_3": Job(function=models.impact_over_inelasticity, arguments=((CASE_3,),)),
+        "curve": item.Job(function=models.impact_over_inelasticity, arguments=(_GRID,)),
+        "case_3": item.Job(function=models.impact_over_inelasticity, arguments=((CASE_3,),)),
     },
 )
 _STEPS = models.ISW_STEPS
 _STRONG = replace(_CHAINS["disk"], contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)
-FIG12 = Item(
+FIG12 = item.Item(
     name="fig12",
     title="Figure 12. Influence of the incident wave's amplitude",
     shows="Pristine plate; the striker's height is varied so that the ISW is 0.8 to 1.2 times the nominal "
     "one.",
     make=draw_fig12,
     jobs={
-        "disk": Job(function=models.pulses_over_isw, arguments=(_CHAINS["disk"], _PLATE, _STEPS)),
-        "sphere": Job(function=models.pulses_over_isw, arguments=(_CHAINS["sphere"], _PLATE, _STEPS)),
-        "disk_gamma": Job(function=models.pulses_over_isw, arguments=(_STRONG, _PLATE, _STEPS)),
-        "zener_eq8": Job(function=models.zener_by_eq_8, arguments=(_STEPS,)),
-        "zener_closed": Job(function=models.zener_by_closed_forms, arguments=(_STEPS,)),
+        "disk": item.Job(function=models.pulses_over_isw, arguments=(_CHAINS["disk"], _PLATE, _STEPS)),
+        "sphere": item.Job(function=models.pulses_over_isw, arguments=(_CHAINS["sphere"], _PLATE, _STEPS)),
+        "disk_gamma": item.Job(function=models.pulses_over_isw, arguments=(_STRONG, _PLATE, _STEPS)),
+        "zener_eq8": item.Job(function=models.zener_by_eq_8, arguments=(_STEPS,)),
+        "zener_closed": item.Job(function=models.zener_by_closed_forms, arguments=(_STEPS,)),
     },
 )
-FIG13 = Item(
+FIG13 = item.Item(
     name="fig13",
     title="Figure 13. Influence of the depth of corrosion",
     shows="A patch of 25.4 mm thinned at the middle of the plate; of the paper's curves only the ends are "

@@ -144,6 +144,7 @@ def growth_quantities(evidence: Evidence, name: str, text: str, unit: str) -> It
     longest = max(runs.values(), key=len, default=[])
     longest = longest[max(WARM_UP_SETS, round(WARM_UP * len(longest))) :]
     grown = growth([index for index, _ in longest], [value for _, value in longest])
+    slope, low, high = (grown.slope, grown.low, grown.high) if grown else (None, None, None)
     few = f"undecided: {len(longest)} readings; {FEWEST_READINGS} are the fewest that tell"
     yield quantity(
         f"{name}_growth",
@@ -151,8 +152,10 @@ def growth_quantities(evidence: Evidence, name: str, text: str, unit: str) -> It
         f"{unit} a 1,000 sets",
         f"median of all slopes (Theil, Sen) with its {CONFIDENCE:.0%} interval, of the recorder that "
         f"took the most sets, without its first fifth and first {WARM_UP_SETS}: {len(longest)} readings",
-        missing=few if found else missing,
-        **({} if grown is None else {"value": grown.slope, "low": grown.low, "high": grown.high}),
+        slope,
+        few if found else missing,
+        low,
+        high,
     )
 
 

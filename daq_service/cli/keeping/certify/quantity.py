@@ -65,7 +65,7 @@ class Table:
     empty: str = "none"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Series:
     """One number over the hours of the test.
 
@@ -73,24 +73,28 @@ class Series:
     ----------
     hours, values
         Shape (n,); a reading that the system did not give is left out.
+    missing
+        Why there is nothing to show; where there is something, it is left empty.
     label, others
         What it is called beside further lines, and these by their names: hours and values.
     steps
         It stays between two readings.
-    missing
-        Why there is nothing to show.
     """
 
     name: str
     title: str
     unit: str
     how: str
-    hours: Sequence[float] = ()
-    values: Sequence[float] = ()
+    hours: Sequence[float]
+    values: Sequence[float]
+    missing: str
     others: dict[str, tuple[Sequence[float], Sequence[float]]] | None = None
     label: str = "measured"
     steps: bool = False
-    missing: str = ""
+
+    def __post_init__(self) -> None:
+        if self.values:
+            object.__setattr__(self, "missing", "")
 
 
 def quantile(values: Sequence[float], part: float) -> float:

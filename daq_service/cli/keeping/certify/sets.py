@@ -207,13 +207,13 @@ def record_series(evidence: Evidence) -> Series:
     x = [hours[index] for index in indices]
     values = {name: [counter[index] for index in indices] for name, counter in lines.items()}
     return Series(
-        name="records_per_set",
-        title="Valid records of each set",
-        unit="1",
-        how="sums over the positions of n_valid; planned and taken beside",
-        hours=x,
-        values=values["valid"],
+        "records_per_set",
+        "Valid records of each set",
+        "1",
+        "sums over the positions of n_valid; planned and taken beside",
+        x,
+        values["valid"],
+        NO_SETS,
+        {name: (x, values[name]) for name in ("planned", "taken")},
         label="valid",
-        others={name: (x, values[name]) for name in ("planned", "taken")},
-        missing="" if x else NO_SETS,
     )
