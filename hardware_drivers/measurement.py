@@ -173,8 +173,8 @@ class Stamp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shot:
-    """One strike of one transducer and the record it left.
+class _Taken:
+    """A record with its place in the order, and what is known of it.
 
     Attributes
     ----------
@@ -187,7 +187,6 @@ class Shot:
         (SI units in the names).
     """
 
-    method: ClassVar[Method] = SOLITARY_WAVE
     sequence: int
     key: ShotKey
     stamp: Stamp
@@ -201,7 +200,14 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseEchoRecord:
+class Shot(_Taken):
+    """One strike of one transducer and the record it left."""
+
+    method: ClassVar[Method] = SOLITARY_WAVE
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PulseEchoRecord(_Taken):
     """One averaged ultrasonic record of one position.
 
     Attributes
@@ -215,19 +221,9 @@ class PulseEchoRecord:
     """
 
     method: ClassVar[Method] = PULSE_ECHO
-    sequence: int
-    key: ShotKey
-    stamp: Stamp
-    waveform: Waveform
     gain_db: float
     offset_v: float
     averages: int
-    truth: Mapping[str, float] = field(default_factory=dict)
-    settings: Mapping[str, float | str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
-        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,9 +16,7 @@ def doubt_condition(reason: str) -> Condition:
         Why the system's clock is doubted; empty: it is not, or no longer.
     """
     return Condition(
-        position=None,
         kind=CLOCK_DOUBTED,
-        family="device",
         severity="high",
         present=bool(reason),
         message=f"{reason}; the test waits until it is set, or trusted with `solimon trust-clock`",

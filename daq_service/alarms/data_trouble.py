@@ -29,9 +29,7 @@ def damage_condition(
     if set_aside:
         told.append(f"set aside because of damage: {', '.join(set_aside)}; remove what nobody needs")
     return Condition(
-        position=None,
         kind="data_damaged",
-        family="device",
         severity="high" if damaged else "medium",
         present=bool(set_aside or damaged),
         message="; ".join(told),
@@ -53,9 +51,7 @@ def space_condition(told: str, *, present: bool, stops: bool) -> Condition:
     """
     follows = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
     return Condition(
-        position=None,
         kind="disk_space",
-        family="device",
         severity="high" if stops else "medium",
         present=present,
         message=f"{told}: {follows}; free some, or take other data off the volume",
@@ -71,9 +67,7 @@ def storage_condition(message: str, *, present: bool, waits_in: str = "memory") 
         What the disk, or the system, says.
     """
     return Condition(
-        position=None,
         kind="storage_unavailable",
-        family="device",
         severity="high",
         present=present,
         message=f"the disk refuses, what is taken waits in the {waits_in} and is stored by itself once it "

@@ -21,9 +21,7 @@ def recorder_condition(finding: str, hour: float) -> Condition:
     message = f"Recorder not running, sets are missed. {finding} (hour {hour:.1f})."
     action = "Read `logs/`, then run `solimon run`."
     return Condition(
-        position=None,
         kind=RECORDER_NOT_RUNNING,
-        family="device",
         severity="high",
         present=bool(finding),
         message=f"{message} {action}",
@@ -41,9 +39,7 @@ def web_condition(hour: float, *, present: bool) -> Condition:
     message = f"Dashboard not responding. No heartbeat (hour {hour:.1f})."
     action = "Read `logs/`, then restart `solimon serve`."
     return Condition(
-        position=None,
         kind=WEB_NOT_RESPONDING,
-        family="device",
         severity="medium",
         present=present,
         message=f"{message} {action}",

@@ -47,9 +47,7 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
     if error not in PASSING and not proven:
         outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     return Condition(
-        position=None,
         kind="rig_unavailable",
-        family="device",
         severity="high",
         present=bool(trouble or unanswered),
         message=f"set {due.set_index} {happened}: {message}; {outlook}",
@@ -60,9 +58,7 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
 def opening_condition(trouble: InstrumentError | None) -> Condition:
     """Alarm while a test that has begun waits for its rig to open; its proof names no set."""
     return Condition(
-        position=None,
         kind="rig_unavailable",
-        family="device",
         severity="high",
         present=trouble is not None,
         message=f"the rig cannot be opened: {trouble}; the recorder tries again until it can",

@@ -63,9 +63,9 @@ class Condition:
         however long the alarm has stood.
     """
 
-    position: str | None
+    position: str | None = None
     kind: str
-    family: Family
+    family: Family = "device"
     severity: Severity
     present: bool
     message: str

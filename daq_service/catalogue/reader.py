@@ -8,29 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
-from sqlalchemy import (
-    CTE,
-    ColumnElement,
-    Connection,
-    Engine,
-    FromClause,
-    ScalarSelect,
-    Select,
-    Table,
-    bindparam,
-    case,
-    func,
-    insert,
-    literal,
-    select,
-    text,
-    true,
-    tuple_,
-    union_all,
-)
+import sqlalchemy as sa
 
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
@@ -110,9 +90,9 @@ class Filters(TypedDict, total=False):
     purpose: Purposes | None
 
 
-_HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
+_HOURS: Mapping[sa.Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
 """First and last hour of what belongs to no set."""
-_CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
+_CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
@@ -136,9 +116,9 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "first_set": lambda table, index: table.c.set_index >= index,
     "last_set": lambda table, index: table.c.set_index <= index,
     # As text in the statement: only then is it found in the index of this topic.
-    "topic": lambda table, topic: table.c.topic == literal(topic, literal_execute=True),
+    "topic": lambda table, topic: table.c.topic == sa.literal(topic, literal_execute=True),
     "purpose": lambda table, purpose: (
-        true()
+        sa.true()
         if purpose == "any"
         else in_plan(table)
         if purpose == "planned"
@@ -146,25 +126,25 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     ),
 }
 """A filter that is not listed asks for a column's value; ``after_id`` is `_behind`."""
-_HOURS_BESIDE: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
+_HOURS_BESIDE: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
 }
 """Beside the plan hours do not rise with the index; there are few such sets."""
 
 
-def in_plan(table: FromClause) -> ColumnElement[bool]:
+def in_plan(table: sa.FromClause) -> sa.ColumnElement[bool]:
     """Choose what belongs to planned sets."""
     return table.c.set_index < PLANNED_SETS
 
 
-def set_at(table: Table, hour: float, which: Literal["first", "last"]) -> ScalarSelect[int]:
+def set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
     """Find the first set due at an hour or later, or the last one due until then.
 
     Hours rise with the index of the set: so a range of hours is a range of sets, and read by index.
     """
     due = sets if "position" in table.c else table
-    found = select(due.c.set_index).where(in_plan(due)).limit(1)
+    found = sa.select(due.c.set_index).where(in_plan(due)).limit(1)
     if which == "first":
         found = found.where(due.c.due_h >= hour).order_by(due.c.due_h)
     else:
@@ -192,17 +172,15 @@ class Catalogue:
     manager. ``limit=None`` means all rows, ``after_id`` pages behind a row.
     """
 
-    def __init__(self, path: Path, engine: Engine) -> None:
+    def __init__(self, path: Path, engine: sa.Engine) -> None:
         self._path = path
         self._engine = engine
-        self._command_engine: Engine | None = None
+        self._command_engine: sa.Engine | None = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -212,7 +190,7 @@ class Catalogue:
             self._command_engine.dispose()
 
     @contextmanager
-    def reading(self) -> Iterator[Connection]:
+    def reading(self) -> Iterator[sa.Connection]:
         """Transaction that sees one state of the catalogue, for questions of several steps."""
         with translated(self._path, "reading"), self._engine.begin() as connection:
             yield connection
@@ -228,7 +206,7 @@ class Catalogue:
     ) -> list[R]:
         """Rows of the last sets of a position (None: of all), in the order of the sets."""
         table = table_of(kind)
-        statement = chosen(select(table), table, {**filters, "position": position})
+        statement = chosen(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
         return self._rows(kind, newest_first)[::-1]
 
@@ -250,13 +228,15 @@ class Catalogue:
         chosen_sets = (sets.c.position == position) & sets.c.set_index.between(first_set, last_set)
         with self.reading() as connection:
             return connection.execute(
-                select(func.count()).where(chosen_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0))
+                sa.select(sa.func.count()).where(
+                    chosen_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0)
+                )
             ).scalar_one()
 
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Tell the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)
-        statement = chosen(select(table), table, {"position": position})
+        statement = chosen(sa.select(table), table, {"position": position})
         found = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return found[0] if found else None
 
@@ -291,14 +271,14 @@ class Catalogue:
         columns = dict(zip(kind.__slots__, zip(*found, strict=True), strict=False))
         return {name: list(columns.get(name, ())) for name in names}
 
-    def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
+    def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
         with self.reading() as connection:
             return made(connection, kind, statement)
 
-    def _newest_row(self, kind: type[R], condition: ColumnElement[bool] | None = None) -> R | None:
+    def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row, of those that meet a condition; None where there is none."""
         table = table_of(kind)
-        statement = select(table).order_by(table.c.id.desc()).limit(1)
+        statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._rows(kind, statement if condition is None else statement.where(condition))
         return rows[0] if rows else None
 
@@ -335,9 +315,9 @@ class Catalogue:
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
         with self.reading() as connection:
-            (row,) = made(connection, CountsRow, select(counts))
+            (row,) = made(connection, CountsRow, sa.select(counts))
             n_alarms = connection.execute(
-                chosen(select(func.count()), alarms, {"active": True}).order_by(None)
+                chosen(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
         return {name: number for name, number in values(row).items() if name != "id"} | {
             "active_alarms": n_alarms
@@ -354,7 +334,7 @@ class Catalogue:
             for start in range(0, len(left), _ASKED_AT_ONCE):
                 some = left[start : start + _ASKED_AT_ONCE]
                 statement = (
-                    select(sets.c.set_index, sets.c.file)
+                    sa.select(sets.c.set_index, sets.c.file)
                     .where(
                         sets.c.position.in_(positions), sets.c.set_index.in_(some), sets.c.file.is_not(None)
                     )
@@ -370,7 +350,7 @@ class Catalogue:
             last_features = _newest(connection, FeatureRow)
             last_verdicts = _newest(connection, VerdictRow)
             last_thicknesses = _newest(connection, ThicknessRow)
-            active = made(connection, AlarmRow, chosen(select(alarms), alarms, {"active": True}))
+            active = made(connection, AlarmRow, chosen(sa.select(alarms), alarms, {"active": True}))
         return {
             position: LastWord(
                 position=position,
@@ -399,7 +379,7 @@ class Catalogue:
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Id of the newest row, 0 before the first: these count from 1, and none is ever taken away."""
         with self.reading() as connection:
-            return int(connection.execute(select(func.max(table_of(kind).c.id))).scalar_one() or 0)
+            return int(connection.execute(sa.select(sa.func.max(table_of(kind).c.id))).scalar_one() or 0)
 
     def alarm(self, alarm_id: int) -> AlarmRow | None:
         """One alarm, None where there is no such id."""
@@ -415,7 +395,7 @@ class Catalogue:
 
     def last_told(self, *kinds: str) -> EventRow | None:
         """Newest event of the service itself of one of these kinds, None where there is none."""
-        told = chosen(select(func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
+        told = chosen(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = told.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._newest_row(EventRow, events.c.id == newest)
 
@@ -431,7 +411,7 @@ class Catalogue:
     def last_event_id(self) -> int:
         """Id of the newest event, 0 before the first."""
         with self.reading() as connection:
-            return int(connection.execute(select(func.max(events.c.id))).scalar_one() or 0)
+            return int(connection.execute(sa.select(sa.func.max(events.c.id))).scalar_one() or 0)
 
     def command(self, command_id: int) -> CommandRow | None:
         """One command, None where there is no such id."""
@@ -467,34 +447,34 @@ class Catalogue:
             )
             return stored_command(connection, row)
 
-    def _for_commands(self) -> Engine:
+    def _for_commands(self) -> sa.Engine:
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
 
 
-def _counted_due_times(*of: ColumnElement[bool]) -> Select[int, int, int]:
-    lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
-    missed = case((sets.c.state == "missed", 1), else_=0)
-    due_times = select(
-        func.sum(sets.c.n_taken).label("taken"),
-        func.sum(lacking).label("lacking"),
-        func.sum(missed).label("missed"),
+def _counted_due_times(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
+    lacking = sa.case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
+    missed = sa.case((sets.c.state == "missed", 1), else_=0)
+    due_times = sa.select(
+        sa.func.sum(sets.c.n_taken).label("taken"),
+        sa.func.sum(lacking).label("lacking"),
+        sa.func.sum(missed).label("missed"),
     )
     found = due_times.where(in_plan(sets), *of).group_by(sets.c.set_index).subquery()
     has_data = found.c.taken > 0
-    return select(
-        func.count().filter(has_data).label("sets"),
-        func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
-        func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
+    return sa.select(
+        sa.func.count().filter(has_data).label("sets"),
+        sa.func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
+        sa.func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
     ).select_from(found)
 
 
 _OF_ALL_SETS = _counted_due_times()
-_OF_SOME_SETS = _counted_due_times(sets.c.set_index.in_(bindparam("indices", expanding=True)))
+_OF_SOME_SETS = _counted_due_times(sets.c.set_index.in_(sa.bindparam("indices", expanding=True)))
 
 
-def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
+def due_time_counts(connection: sa.Connection, indices: Collection[int] | None = None) -> dict[str, int]:
     """Count due times (`CountsRow`) by reading their rows: of some sets, or (None) of all."""
     if indices is None:
         found = connection.execute(_OF_ALL_SETS)
@@ -503,7 +483,7 @@ def due_time_counts(connection: Connection, indices: Collection[int] | None = No
     return dict(found.mappings().one())
 
 
-def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
+def chosen(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
     """Narrow a question down to some rows of a table, and put it in their order."""
     given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
@@ -526,35 +506,37 @@ def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any
         statement = statement.where(_behind(table, order, after_id))
     elif given.get("topic") in RARE_TOPICS:
         # In the order of ids SQLite would read all events; sorting the few of the topic's index is nothing.
-        return statement.order_by(text("+events.id"))
+        return statement.order_by(sa.text("+events.id"))
     return statement.order_by(*order)
 
 
-def _behind(table: Table, order: Sequence[ColumnElement[Any]], row_id: int) -> ColumnElement[bool]:
+def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int) -> sa.ColumnElement[bool]:
     """Rows that follow one in an order."""
     if len(order) == 1:
         return order[0] > row_id
-    place = [select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
-    return (order[0] >= place[0]) & (tuple_(*order) > tuple_(*place))
+    place = [sa.select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
+    return (order[0] >= place[0]) & (sa.tuple_(*order) > sa.tuple_(*place))
 
 
-def stored_command(connection: Connection, row: CommandRow) -> int:
+def stored_command(connection: sa.Connection, row: CommandRow) -> int:
     """Store an order under the next id, which is returned; the caller holds the write lock."""
-    row = replace(row, id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1)
-    connection.execute(insert(commands), storable(row))
+    row = replace(
+        row, id=int(connection.execute(sa.select(sa.func.max(commands.c.id))).scalar_one() or 0) + 1
+    )
+    connection.execute(sa.insert(commands), storable(row))
     return row.id
 
 
-def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> Select[Any]:
-    return chosen(select(table_of(kind)), table_of(kind), filters).limit(limit)
+def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
+    return chosen(sa.select(table_of(kind)), table_of(kind), filters).limit(limit)
 
 
-def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:
+def made(connection: sa.Connection, kind: type[R], statement: sa.Select[Any]) -> list[R]:
     """Rows of a statement that asks for a table's columns, each compared with its checksum."""
     return list(checked_rows(connection, kind, statement))
 
 
-def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
+def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Row of the highest set index of each position that has a row in ``sets``."""
     return {row.position: row for row in made(connection, kind, _newest_of(table_of(kind)))}
 
@@ -562,53 +544,57 @@ def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
 # Statements of several steps: to put one together takes longer than to answer it -----------------------
 
 
-def _places() -> CTE:
+def _places() -> sa.CTE:
     """Name the positions that have a row in ``sets``."""
     # One step in the index leads to the next name, however many sets have it.
-    first = select(func.min(sets.c.position).label("position")).cte("places", recursive=True)
-    following = select(func.min(sets.c.position)).where(sets.c.position > first.c.position)
-    return first.union_all(select(following.scalar_subquery()).where(first.c.position.is_not(None)))
+    first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
+    following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
+    return first.union_all(sa.select(following.scalar_subquery()).where(first.c.position.is_not(None)))
 
 
 @cache
-def _newest_of(table: Table) -> Select[Any]:
+def _newest_of(table: sa.Table) -> sa.Select[Any]:
     places, of_place = _places(), table.alias("of_place")
-    newest = select(of_place.c.id).where(of_place.c.position == places.c.position, in_plan(of_place))
+    newest = sa.select(of_place.c.id).where(of_place.c.position == places.c.position, in_plan(of_place))
     if table is features:  # of a set
         newest = newest.where(of_place.c.shot_index.is_(None))
     last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
-    return select(table).join(places, table.c.id == last)
+    return sa.select(table).join(places, table.c.id == last)
 
 
 @cache
-def _last_set_index() -> Select[Any]:
+def _last_set_index() -> sa.Select[Any]:
     places = _places()
-    newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position, in_plan(sets))
-    return select(func.max(newest.scalar_subquery())).select_from(places)
+    newest = sa.select(sa.func.max(sets.c.set_index)).where(
+        sets.c.position == places.c.position, in_plan(sets)
+    )
+    return sa.select(sa.func.max(newest.scalar_subquery())).select_from(places)
 
 
 @cache
-def _files_beside_the_plan() -> Select[Any]:
-    files = select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
+def _files_beside_the_plan() -> sa.Select[Any]:
+    files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
     return files.order_by(sets.c.set_index)
 
 
 @cache
-def _newest_files(n_rows: int) -> Select[Any]:
-    newest = select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
-    return select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
+def _newest_files(n_rows: int) -> sa.Select[Any]:
+    newest = sa.select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
+    return sa.select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
 
 
 @cache
-def _newest_gaps(count: int) -> Select[Any]:
+def _newest_gaps(count: int) -> sa.Select[Any]:
     places, of_place = _places(), sets.alias("of_place")
-    states = union_all(*(select(literal(state).label("state")) for state in GAP_STATES)).cte("states")
+    states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
+        "states"
+    )
     newest = (
-        select(of_place.c.id)
+        sa.select(of_place.c.id)
         .where(
             of_place.c.position == places.c.position, of_place.c.state == states.c.state, in_plan(of_place)
         )
         .order_by(of_place.c.set_index.desc())
         .limit(count)
     )
-    return select(sets).select_from(places.join(states, true()).join(sets, sets.c.id.in_(newest)))
+    return sa.select(sets).select_from(places.join(states, sa.true()).join(sets, sets.c.id.in_(newest)))

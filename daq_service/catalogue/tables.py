@@ -8,29 +8,13 @@ from __future__ import annotations
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    Boolean,
-    Column,
-    DefaultClause,
-    Float,
-    ForeignKey,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    UniqueConstraint,
-    literal,
-)
+import sqlalchemy as sa
 from sqlalchemy.schema import SchemaItem
 from sqlalchemy.types import TypeEngine
 
 from daq_service.catalogue import rows
 
-metadata = MetaData(
+metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(column_0_label)s",
         "uq": "uq_%(table_name)s_%(column_0_name)s",
@@ -42,22 +26,22 @@ metadata = MetaData(
 ROW_CRC32 = "row_crc32"
 """The last column of each table: the checksum of the others (`sealed`), which no row tells."""
 
-_TABLES: dict[type[rows.Row], Table] = {}
+_TABLES: dict[type[rows.Row], sa.Table] = {}
 # None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
 _TYPES: dict[Any, TypeEngine[Any]] = {
-    bool: Boolean(),
-    bytes: LargeBinary(),
-    dict: JSON(none_as_null=True),
-    float: Float(),
-    int: Integer(),
-    list: JSON(none_as_null=True),
-    str: String(),
-    Literal: String(),
+    bool: sa.Boolean(),
+    bytes: sa.LargeBinary(),
+    dict: sa.JSON(none_as_null=True),
+    float: sa.Float(),
+    int: sa.Integer(),
+    list: sa.JSON(none_as_null=True),
+    str: sa.String(),
+    Literal: sa.String(),
 }
 _BIG_INTEGERS = ("_ns", "crc32")
 
 
-def table_of(kind: type[rows.Row]) -> Table:
+def table_of(kind: type[rows.Row]) -> sa.Table:
     """Table that holds a kind of row."""
     return _TABLES[kind]
 
@@ -67,11 +51,11 @@ def _table(
     kind: type[rows.Row],
     *constraints: SchemaItem,
     autoincrement: bool = False,
-    **beside: ForeignKey | DefaultClause,
-) -> Table:
+    **beside: sa.ForeignKey | sa.DefaultClause,
+) -> sa.Table:
     """Table of a kind of row; ``beside`` says more of a column than the dataclass does."""
     columns = [
-        Column(
+        sa.Column(
             column.name,
             _sql_type(column),
             *([beside[column.name]] if column.name in beside else []),
@@ -80,28 +64,28 @@ def _table(
         )
         for number, column in enumerate(rows.columns_of(kind))
     ]
-    columns.append(Column(ROW_CRC32, BigInteger()))
+    columns.append(sa.Column(ROW_CRC32, sa.BigInteger()))
     # With AUTOINCREMENT ids are never used again, whatever is deleted.
-    _TABLES[kind] = Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
+    _TABLES[kind] = sa.Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
     return _TABLES[kind]
 
 
 def _sql_type(column: rows.Column) -> TypeEngine[Any]:
     if column.name.endswith(_BIG_INTEGERS):
-        return BigInteger()
+        return sa.BigInteger()
     if column.name == "configuration_hash":
-        return String(64)
+        return sa.String(64)
     alternatives = get_args(column.type) if column.nullable else (column.type,)
     (of_type,) = (kind for kind in alternatives if kind is not NoneType)
     return _TYPES[get_origin(of_type) or of_type]
 
 
-def _unique(table: str, *names: str) -> UniqueConstraint:
-    return UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
+def _unique(table: str, *names: str) -> sa.UniqueConstraint:
+    return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
-def _index(table: Table, *names: str) -> None:
-    Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
+def _index(table: sa.Table, *names: str) -> None:
+    sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 
 experiment = _table("experiment", rows.ExperimentRow)
@@ -109,8 +93,8 @@ sets = _table(
     "sets",
     rows.SetRow,
     _unique("sets", "position", "set_index"),
-    n_missed=DefaultClause("0"),
-    n_restrikes=DefaultClause("0"),
+    n_missed=sa.DefaultClause("0"),
+    n_restrikes=sa.DefaultClause("0"),
 )
 # What the routes, `solimon status` and a start ask for is found in an index, never by reading every row:
 # hours by the set that is due then (`reader.set_at`), states, the latest end.
@@ -123,12 +107,12 @@ shots = _table(
     "shots",
     rows.ShotRow,
     _unique("shots", "position", "set_index", "shot_index", "attempt"),
-    outcome=DefaultClause("accepted"),
+    outcome=sa.DefaultClause("accepted"),
 )
-features = _table("features", rows.FeatureRow, sequence=ForeignKey("shots.sequence"))
+features = _table("features", rows.FeatureRow, sequence=sa.ForeignKey("shots.sequence"))
 _index(features, "position", "set_index", "shot_index")
 # One feature a set, and the trend of a position without reading past its shots.
-Index(
+sa.Index(
     "uq_features_set",
     features.c.position,
     features.c.set_index,
@@ -140,19 +124,19 @@ thickness = _table(
     "thickness",
     rows.ThicknessRow,
     _unique("thickness", "position", "set_index"),
-    sequence=ForeignKey("shots.sequence"),
+    sequence=sa.ForeignKey("shots.sequence"),
 )
 _index(thickness, "set_index")
 environment = _table("environment", rows.EnvironmentRow, _unique("environment", "set_index"))
 _index(environment, "due_h")
 baselines = _table(
-    "baselines", rows.BaselineRow, _unique("baselines", "name"), state=DefaultClause("approved")
+    "baselines", rows.BaselineRow, _unique("baselines", "name"), state=sa.DefaultClause("approved")
 )
 verdicts = _table(
     "verdicts",
     rows.VerdictRow,
     _unique("verdicts", "position", "set_index"),
-    baseline_id=ForeignKey("baselines.id"),
+    baseline_id=sa.ForeignKey("baselines.id"),
 )
 _index(verdicts, "set_index")
 alarms = _table("alarms", rows.AlarmRow)
@@ -165,8 +149,8 @@ events = _table("events", rows.EventRow, autoincrement=True)
 RARE_TOPICS = ("service", "alarms")
 """The service's own words and the alarms are few among the news of sets."""
 for _topic in RARE_TOPICS:
-    _few = events.c.topic == literal(_topic, literal_execute=True)
-    Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
+    _few = events.c.topic == sa.literal(_topic, literal_execute=True)
+    sa.Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
 commands = _table("commands", rows.CommandRow, autoincrement=True)
 _index(commands, "state")
 counts = _table("counts", rows.CountsRow)

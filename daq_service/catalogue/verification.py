@@ -8,7 +8,6 @@ import tempfile
 from contextlib import ExitStack, closing
 from functools import cached_property, partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from sqlalchemy import NullPool, create_engine
@@ -52,9 +51,7 @@ class CatalogueLook:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def _connect(self) -> None:

@@ -53,6 +53,11 @@ EXECUTORS = "processes|threads|dask://HOST"
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
 
 
+def of_a_test(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options that name one test."""
+    return CONFIG(DATA_DIR(command))
+
+
 def order_options(command: Callable[..., int]) -> Callable[..., int]:
     """Options of an order to a running recorder."""
     command = JSON(command)
@@ -127,8 +132,7 @@ def demo(**options: Any) -> int:
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--port", type=PORT_NUMBER, help="Port of the dashboard; default: the configuration's.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
 def run(**options: Any) -> int:
@@ -139,8 +143,7 @@ def run(**options: Any) -> int:
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--linger", is_flag=True, help="Stay after the last set and carry out orders.")
 @click.option("--log-json", is_flag=True, help="Print a line of JSON for each shot once it is durable.")
 @RESTARTED
@@ -176,8 +179,7 @@ def serve(**options: Any) -> int:
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--for-recorder", is_flag=True, hidden=True)
 def drive(**options: Any) -> int:
     """Own the corrosion drive's port beside a recorder, which starts this by itself; never energises."""
@@ -187,8 +189,7 @@ def drive(**options: Any) -> int:
 
 
 @cli.command("check-config")
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of the configuration and stop.")
 @JSON
 def check_config(**options: Any) -> None:
@@ -301,8 +302,7 @@ def token() -> None:
     help="Each may do what those before it may.",
 )
 @click.option("--days", type=POSITIVE, help="Until it expires; default: never.")
-@CONFIG
-@DATA_DIR
+@of_a_test
 @JSON
 def token_create(**options: Any) -> None:
     """Make a token for NAME and print it once; orders that it gives bear this name."""
@@ -312,8 +312,7 @@ def token_create(**options: Any) -> None:
 
 
 @token.command("list")
-@CONFIG
-@DATA_DIR
+@of_a_test
 @JSON
 def token_list(**options: Any) -> None:
     """List the tokens: name, role, state, until when."""
@@ -324,8 +323,7 @@ def token_list(**options: Any) -> None:
 
 @token.command("revoke")
 @click.argument("name")
-@CONFIG
-@DATA_DIR
+@of_a_test
 @JSON
 def token_revoke(**options: Any) -> None:
     """Let NAME's token open nothing any more; open pages and streams end within seconds."""
@@ -351,8 +349,7 @@ def notify_test(**options: Any) -> int:
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--strike", metavar="POSITION", help="Also strike this transducer; on boards twice.")
 @JSON
 def doctor(**options: Any) -> int:
@@ -363,8 +360,7 @@ def doctor(**options: Any) -> int:
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--watch", is_flag=True, help="Show it anew every second, until Ctrl-C; needs a terminal.")
 @JSON
 def status(**options: Any) -> int:
@@ -447,8 +443,7 @@ add_order(
 
 
 @cli.command()
-@CONFIG
-@DATA_DIR
+@of_a_test
 @click.option("--on/--off", "on", default=None, help="Switch the corrosion drive on or off.")
 @click.option("--voltage-v", type=float, help="With --on: voltage in V; default: the configuration's.")
 @click.option("--current-limit-a", type=float, help="With --on: limit in A; default: the configuration's.")

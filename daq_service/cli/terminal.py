@@ -11,7 +11,6 @@ import time
 import webbrowser
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
@@ -95,9 +94,7 @@ class Telling:
         self._writer.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end_gap()
         self._lines.put(None)
         self._writer.join(HELD_AFTER_S)

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Literal, Self
 
 import pandas as pd
 import xarray
 
-from daq_service.catalogue.rows import (
-    AlarmRow,
-    AnnotationRow,
-    BaselineRow,
-    EnvironmentRow,
-    FeatureRow,
-    Row,
-    SetRow,
-    ThicknessRow,
-    VerdictRow,
-)
+from daq_service.catalogue import rows
+from daq_service.catalogue.rows import Row
 from daq_service.catalogue.told import Purposes
 from daq_service.client.connection import Connection
 from daq_service.client.errors import ClientError, RefusedError
@@ -63,12 +53,7 @@ class Experiment:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -90,7 +75,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read sets and what became of them."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
-        return self._table(SetRow, "sets", **asked)
+        return self._table(rows.SetRow, "sets", **asked)
 
     def features(
         self,
@@ -103,7 +88,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read features of the solitary waves: means of sets, or of single shots."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
-        return self._table(FeatureRow, "features", **asked)
+        return self._table(rows.FeatureRow, "features", **asked)
 
     def verdicts(
         self,
@@ -115,32 +100,32 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read squared distances, limits and outliers, with the quality of what was judged."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
-        return self._table(VerdictRow, "verdicts", **asked)
+        return self._table(rows.VerdictRow, "verdicts", **asked)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
         """Read the baselines of each position, the newest last: their life, statistics and limits."""
         answer = self._connection.get("baselines", position=position)
-        return frame(BaselineRow, answer["items"], answer["as_of"])
+        return frame(rows.BaselineRow, answer["items"], answer["as_of"])
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
         """Read what pulse echo says of the wall."""
-        return self._table(ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
+        return self._table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
         """Read supply and climate around each set; empty where neither is configured."""
-        return self._table(EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
+        return self._table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
 
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
         """Read alarms with their proofs; ``active`` True: those that stand, False: those that are over."""
-        return self._table(AlarmRow, "alarms", position=position, active=active)
+        return self._table(rows.AlarmRow, "alarms", position=position, active=active)
 
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
         """Read what people noted of hours of the test, withdrawn notes included."""
-        return self._table(AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
+        return self._table(rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
 
     def waveforms(
         self,

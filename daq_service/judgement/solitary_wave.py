@@ -331,7 +331,6 @@ class SolitaryWaveAssessor:
             Condition(
                 position=self.position,
                 kind="no_data",
-                family="device",
                 severity="medium",
                 present=poor >= quality.no_data_sets,
                 message=f"{told}; {check}",
@@ -340,7 +339,6 @@ class SolitaryWaveAssessor:
             Condition(
                 position=self.position,
                 kind="retired",
-                family="device",
                 severity="high",
                 present=0 < quality.retire_after_sets <= poor,
                 latched=True,
@@ -354,7 +352,6 @@ class SolitaryWaveAssessor:
         return Condition(
             position=self.position,
             kind="not_judged",
-            family="device",
             severity="medium",
             present=baseline is not None and baseline.fitted is None,
             message=f"nothing is judged at {self.position}: {self.unjudged_because}",

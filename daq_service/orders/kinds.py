@@ -13,16 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from daq_service.alarms import states
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
-from daq_service.alarms.states import (
-    AFTER_ACKNOWLEDGEMENT,
-    RETIRING,
-    Condition,
-    acknowledge,
-    reset,
-    retired_positions,
-    update,
-)
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_written
@@ -116,11 +108,16 @@ class NoArguments(Strict):
     """The order needs none."""
 
 
-class AlarmArguments(Strict):
+class NoteArguments(Strict):
+    """Why; shown to everybody."""
+
+    note: str = Field(default="", max_length=2000)
+
+
+class AlarmArguments(NoteArguments):
     """Which alarm was seen."""
 
     alarm_id: int = Field(ge=1, le=LARGEST_ID)
-    note: str = Field(default="", max_length=2000)
 
 
 class AnnotationArguments(Strict):
@@ -156,12 +153,6 @@ class WithdrawalArguments(Strict):
     annotation_id: int = Field(ge=1, le=LARGEST_ID)
 
 
-class NoteArguments(Strict):
-    """Why; shown to everybody."""
-
-    note: str = Field(default="", max_length=2000)
-
-
 class ReasonArguments(Strict):
     """Why; shown to everybody for as long as it lasts."""
 
@@ -174,19 +165,17 @@ class ReasonArguments(Strict):
     ]
 
 
-class TransducerArguments(Strict):
+class TransducerArguments(NoteArguments):
     """Which transducer, and why."""
 
     position: str = Field(min_length=1, max_length=16)
-    note: str = Field(default="", max_length=2000)
 
 
-class SupplyArguments(Strict):
+class SupplyArguments(NoteArguments):
     """Voltage and current limit; null: as configured. Beyond the configured caps the recorder refuses."""
 
     voltage_v: float | None = Field(default=None, gt=0.0, le=60.0)
     current_limit_a: float | None = Field(default=None, gt=0.0, le=100.0)
-    note: str = Field(default="", max_length=2000)
 
 
 class OrderRefusedError(ValueError):
@@ -302,21 +291,21 @@ class AcknowledgeAlarm(DeskOrder):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
-        if state in AFTER_ACKNOWLEDGEMENT:
+        if state in states.AFTER_ACKNOWLEDGEMENT:
             return None
         if state is None:
             reason, sentence = f"there is no current alarm {wanted}", f"There is no alarm {wanted}."
             return Refusal(reason, "/api/v1/alarms lists them.", sentence, missing=True)
         return Refusal(
             f"alarm {wanted} is {state}: there is nothing to acknowledge",
-            f"Only alarms that are {' or '.join(AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
+            f"Only alarms that are {' or '.join(states.AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
         """Carry the alarm on."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
-        test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
+        test.change_alarms(moment, states.acknowledge(row, self.author, self.arguments.note, moment))
         return "acknowledged"
 
 
@@ -443,7 +432,7 @@ class TransducerOrder(Order):
             nobody = f"there is no solitary-wave transducer {position!r}"
             names = f"there are: {', '.join(facts.positions) or 'none'}"
             return Refusal(f"{nobody}; {names}", f"T{names[1:]}.", f"T{nobody[1:]}.")
-        return self._forbidden_at(position, retired_positions(facts.alarms).get(position))
+        return self._forbidden_at(position, states.retired_positions(facts.alarms).get(position))
 
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
         raise NotImplementedError
@@ -460,17 +449,16 @@ class Retire(TransducerOrder):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position, moment = self.arguments.position, test.moment()
-        condition = Condition(
+        condition = states.Condition(
             position=position,
             kind="retired",
-            family="device",
             severity="medium",
             present=True,
             latched=True,
             message=f"retired by {self.author}: {self.arguments.note or 'no reason given'}",
             proof={"command_id": order_id},
         )
-        change = update(test.alarms.get((position, "retired")), condition, moment)
+        change = states.update(test.alarms.get((position, "retired")), condition, moment)
         assert change is not None, "a position that is not retired has no such alarm standing"
         test.change_alarms(moment, change)
         return f"{position} strikes no more"
@@ -490,9 +478,9 @@ class Reinstate(TransducerOrder):
         standing = [
             row
             for (place, kind), row in test.alarms.items()
-            if place == position and kind in RETIRING and row.state != "normal"
+            if place == position and kind in states.RETIRING and row.state != "normal"
         ]
-        changes = [reset(row, self.author, self.arguments.note, moment) for row in standing]
+        changes = [states.reset(row, self.author, self.arguments.note, moment) for row in standing]
         test.change_alarms(moment, *changes)
         test.reinstated(position)
         return f"{position} strikes again from the next set"

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daq_service.alarms.states import (
-    LONGEST_SHELF_H,
-    Change,
-    Moment,
-    end_suppression,
-    shelve,
-    take_out_of_service,
-)
+from daq_service.alarms import states
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.orders.kinds import LARGEST_ID, SEEN, AlarmArguments, DeskOrder, Facts, Refusal, Strict
 from daq_service.settings.foreign_text import require_written
@@ -28,17 +21,6 @@ Reason = Annotated[
     Field(min_length=1, max_length=500, json_schema_extra=SEEN, description="Why; shown to everybody"),
     AfterValidator(partial(require_written, message="give the reason")),
 ]
-ShelfHours = Annotated[
-    float, Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")
-]
-
-
-class ShelfArguments(Strict):
-    """Which alarm, for how long, and why."""
-
-    alarm_id: int = Field(ge=1, le=LARGEST_ID)
-    for_h: ShelfHours
-    reason: Reason
 
 
 class OutOfServiceArguments(Strict):
@@ -48,8 +30,16 @@ class OutOfServiceArguments(Strict):
     reason: Reason
 
 
+class ShelfArguments(OutOfServiceArguments):
+    """Which alarm, for how long, and why."""
+
+    for_h: float = Field(
+        gt=0.0, le=states.LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again"
+    )
+
+
 class _AlarmOrder(DeskOrder):
-    def _change(self, row: AlarmRow, moment: Moment) -> Change:
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Carry an alarm on; ValueError where its state does not allow that."""
         raise NotImplementedError
 
@@ -63,7 +53,7 @@ class _AlarmOrder(DeskOrder):
         if newest != wanted:
             return Refusal(f"alarm {wanted} is over, alarm {newest} came after it", f"Choose alarm {newest}.")
         try:
-            self._change(row, Moment(utc_ns=0, due_h=0.0, set_index=None))
+            self._change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
         except ValueError as error:
             return Refusal(str(error), "/api/v1/alarms tells how it is now.")
         return None
@@ -81,9 +71,9 @@ class ShelveAlarm(_AlarmOrder):
     kind: Literal["shelve_alarm"]
     arguments: ShelfArguments
 
-    def _change(self, row: AlarmRow, moment: Moment) -> Change:
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         given = self.arguments
-        return shelve(row, self.author, given.reason.strip(), given.for_h, moment, time.time_ns())
+        return states.shelve(row, self.author, given.reason.strip(), given.for_h, moment, time.time_ns())
 
 
 class UnshelveAlarm(_AlarmOrder):
@@ -92,8 +82,8 @@ class UnshelveAlarm(_AlarmOrder):
     kind: Literal["unshelve_alarm"]
     arguments: AlarmArguments
 
-    def _change(self, row: AlarmRow, moment: Moment) -> Change:
-        return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
 class TakeOutOfService(_AlarmOrder):
@@ -102,8 +92,8 @@ class TakeOutOfService(_AlarmOrder):
     kind: Literal["take_out_of_service"]
     arguments: OutOfServiceArguments
 
-    def _change(self, row: AlarmRow, moment: Moment) -> Change:
-        return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 
 class ReturnToService(_AlarmOrder):
@@ -112,5 +102,5 @@ class ReturnToService(_AlarmOrder):
     kind: Literal["return_to_service"]
     arguments: AlarmArguments
 
-    def _change(self, row: AlarmRow, moment: Moment) -> Change:
-        return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

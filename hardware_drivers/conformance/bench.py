@@ -8,6 +8,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
+import pytest
+
 from hardware_drivers.measurement import ShotKey
 
 Keys = tuple[ShotKey, ...]
@@ -82,3 +84,17 @@ class MachineClock:
                 return False
             time.sleep(min(left_ns / 1e9, 0.1))
         return True
+
+
+class ShotContract:
+    """What the rules of an instrument that takes shots ask for."""
+
+    @pytest.fixture
+    def keys(self) -> Keys:
+        """Return two shots of one position that the instrument knows; of a striker one each of up to two."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def unknown_key(self) -> ShotKey:
+        """Return a shot of a position that the instrument does not know."""
+        raise NotImplementedError

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hardware_drivers.conformance.bench import Keys, Strike
+from hardware_drivers.conformance.bench import Keys, ShotContract, Strike
 from hardware_drivers.conformance.records import require_record
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Digitizer
@@ -20,7 +20,13 @@ OVERRUN_S = 20.0
 """A read may end so much later on a busy machine; one that waits for the strike itself never ends."""
 
 
-class DigitizerContract:
+def _record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
+    digitizer.arm(key)
+    strike(key)
+    return digitizer.read(timeout_s)
+
+
+class DigitizerContract(ShotContract):
     """Arm, strike, read; everything else is refused or harmless."""
 
     @pytest.fixture
@@ -31,16 +37,6 @@ class DigitizerContract:
     @pytest.fixture
     def strike(self, digitizer: Digitizer) -> Strike:
         """Return what makes the key's transducer trigger the digitizer under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def keys(self) -> Keys:
-        """Return two shots of one position the instrument knows."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def unknown_key(self) -> ShotKey:
-        """Return a shot of a position the instrument does not know."""
         raise NotImplementedError
 
     @pytest.fixture
@@ -62,48 +58,27 @@ class DigitizerContract:
         assert isinstance(digitizer, Digitizer)
 
     def test_a_strike_on_an_armed_digitizer_is_recorded(
-        self,
-        digitizer: Digitizer,
-        strike: Strike,
-        keys: Keys,
-        timeout_s: float,
+        self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        digitizer.arm(keys[0])
-        strike(keys[0])
-        acquired = digitizer.read(timeout_s)
+        acquired = _record(digitizer, strike, keys[0], timeout_s)
         assert isinstance(acquired, Acquired)
         waveform = acquired.waveform
         assert 0 < waveform.pretrigger_samples < waveform.counts.size
         assert waveform.counts.min() < waveform.counts.max()
 
     def test_counts_are_read_only_codes_of_their_calibration(
-        self,
-        digitizer: Digitizer,
-        strike: Strike,
-        keys: Keys,
-        timeout_s: float,
+        self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        digitizer.arm(keys[0])
-        strike(keys[0])
-        acquired = digitizer.read(timeout_s)
+        acquired = _record(digitizer, strike, keys[0], timeout_s)
         require_record(acquired)
         lowest, highest = acquired.waveform.calibration.full_scale_counts
         counts = acquired.waveform.counts
         assert lowest <= counts.min() <= counts.max() <= highest, "codes fit the resolution"
 
     def test_records_of_one_position_have_one_shape_and_calibration(
-        self,
-        digitizer: Digitizer,
-        strike: Strike,
-        keys: Keys,
-        timeout_s: float,
+        self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        waveforms = []
-        for key in keys:
-            digitizer.arm(key)
-            strike(key)
-            waveforms.append(digitizer.read(timeout_s).waveform)
-        first, second = waveforms
+        first, second = (_record(digitizer, strike, key, timeout_s).waveform for key in keys)
         assert first.counts.shape == second.counts.shape
         assert first.counts.dtype == second.counts.dtype
         assert first.sample_rate_hz == second.sample_rate_hz
@@ -126,15 +101,9 @@ class DigitizerContract:
             digitizer.read(SHORT_TIMEOUT_S)
 
     def test_reading_disarms(
-        self,
-        digitizer: Digitizer,
-        strike: Strike,
-        keys: Keys,
-        timeout_s: float,
+        self, digitizer: Digitizer, strike: Strike, keys: Keys, timeout_s: float
     ) -> None:
-        digitizer.arm(keys[0])
-        strike(keys[0])
-        digitizer.read(timeout_s)
+        _record(digitizer, strike, keys[0], timeout_s)
         with pytest.raises(ConfigurationError):
             digitizer.read(SHORT_TIMEOUT_S)
         digitizer.arm(keys[1])

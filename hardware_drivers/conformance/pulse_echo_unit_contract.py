@@ -6,29 +6,19 @@ import math
 
 import pytest
 
-from hardware_drivers.conformance.bench import Keys
+from hardware_drivers.conformance.bench import Keys, ShotContract
 from hardware_drivers.conformance.records import require_record
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Echo, PulseEchoUnit
 from hardware_drivers.measurement import ShotKey
 
 
-class PulseEchoUnitContract:
+class PulseEchoUnitContract(ShotContract):
     """Fire, average, return."""
 
     @pytest.fixture
     def pulse_echo(self) -> PulseEchoUnit:
         """Return the instrument under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def keys(self) -> Keys:
-        """Return two shots of one position the instrument knows."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def unknown_key(self) -> ShotKey:
-        """Return a shot of a position the instrument does not know."""
         raise NotImplementedError
 
     @pytest.fixture

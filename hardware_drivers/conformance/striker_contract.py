@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hardware_drivers.conformance.bench import CoilLevels, Keys
+from hardware_drivers.conformance.bench import CoilLevels, Keys, ShotContract
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Striker
 from hardware_drivers.measurement import ShotKey
@@ -12,7 +12,7 @@ from hardware_drivers.measurement import ShotKey
 ON, OFF = True, False
 
 
-class StrikerContract:
+class StrikerContract(ShotContract):
     """One pulse a strike, of the right coil, and off afterwards whatever happens."""
 
     @pytest.fixture
@@ -23,16 +23,6 @@ class StrikerContract:
     @pytest.fixture
     def coil_levels(self, striker: Striker) -> CoilLevels:
         """Return what reads all switchings so far, oldest first: position, on or off."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def keys(self) -> Keys:
-        """Return a shot of each of one or two positions the instrument knows."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def unknown_key(self) -> ShotKey:
-        """Return a shot of a position the instrument does not know."""
         raise NotImplementedError
 
     def test_is_a_striker(self, striker: Striker) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 
 from hardware_drivers.errors import InstrumentError
@@ -43,6 +43,11 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
         yield Opened(climate=probe)
 
 
+def _identified(subject: str, identity: Mapping[str, str]) -> Finding:
+    told = ", ".join(identity.values())
+    return Finding(subject=subject, check="identity", state="ok", detail=told, values=dict(identity))
+
+
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
     """Ask the supply who it is, what is set, and what it gives."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
@@ -50,14 +55,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
     subject, check = "supply", "identity"
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
         try:
-            identity = supply.identity()
-            yield Finding(
-                subject=subject,
-                check=check,
-                state="ok",
-                detail=", ".join(identity.values()),
-                values=dict(identity),
-            )
+            yield _identified(subject, supply.identity())
             check = "read-back"
             told = supply.read_back(parameters.read_timeout_s)
             tripped, unknown = str(told["tripped"]), str(told["protection_unknown"])
@@ -84,11 +82,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
                 f"{reading.current_a:.4g} A",
                 remedy="the drive is on although no recorder watches it: switch it off at the instrument, or "
                 "start the recorder",
-                values={
-                    "output_on": reading.output_on,
-                    "voltage_v": reading.voltage_v,
-                    "current_a": reading.current_a,
-                },
+                values={name: getattr(reading, name) for name in ("output_on", "voltage_v", "current_a")},
             )
         except InstrumentError as error:
             yield failed(subject, check, error, CABLE)
@@ -101,14 +95,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
     subject, check = "climate probe", "identity"
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
         try:
-            identity = probe.identity()
-            yield Finding(
-                subject=subject,
-                check=check,
-                state="ok",
-                detail=", ".join(identity.values()),
-                values=dict(identity),
-            )
+            yield _identified(subject, probe.identity())
             check = "reading"
             reading = probe.read(parameters.read_timeout_s)
             yield Finding(
@@ -116,10 +103,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
                 check=check,
                 state="ok",
                 detail=f"{reading.temperature_c:.2f} C, relative humidity {reading.relative_humidity:.0%}",
-                values={
-                    "temperature_c": reading.temperature_c,
-                    "relative_humidity": reading.relative_humidity,
-                },
+                values={name: getattr(reading, name) for name in ("temperature_c", "relative_humidity")},
             )
         except InstrumentError as error:
             yield failed(subject, check, error, CABLE)

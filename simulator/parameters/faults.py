@@ -16,21 +16,33 @@ from hardware_drivers.bounds import bounded, check_pair
 
 
 @bounded
-class MissedStrikeFault:
-    """The striker sticks: no wave, and nothing to trigger on."""
+class _Fault:
+    """What each has."""
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
+
+
+@bounded
+class _GradualFault(_Fault):
+    """What each has that grows."""
+
+    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hours until it has its full size; 0: at once."""
+
+
+@bounded
+class MissedStrikeFault(_Fault):
+    """The striker sticks: no wave, and nothing to trigger on."""
+
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike; a repeated strike is drawn anew."""
 
 
 @bounded
-class DoubleStrikeFault:
+class DoubleStrikeFault(_Fault):
     """The striker bounces: a second, weaker impact while the first one's waves are under way."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike."""
     shortest_delay_s: Annotated[float, Gt(0.0), Le(1.0)] = 60e-6
@@ -45,45 +57,33 @@ class DoubleStrikeFault:
 
 
 @bounded
-class TiltFault:
+class TiltFault(_GradualFault):
     """The sensor disk leans further than its play lets it; it acts as the sensor's own tilt does."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
-    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hours until it has its full size; 0: at once."""
     tilt_rad: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
     """Full size of the tilt on top of the scattered one; together at most 0.2 rad."""
 
 
 @bounded
-class BeadWearFault:
+class BeadWearFault(_GradualFault):
     """All contacts of the chain flatten: a larger radius of curvature, the spheres' mass unchanged."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
-    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hours until it has its full size; 0: at once."""
     radius_growth_fraction: Annotated[float, Ge(0.0), Le(3.0)] = 0.0
     """Full growth of the radius of curvature over the nominal radius; the stiffness A goes with its root."""
 
 
 @bounded
-class PztAgeingFault:
+class PztAgeingFault(_Fault):
     """The PZT disk loses sensitivity by the same fraction every year."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
     loss_fraction_per_year: Annotated[float, Ge(0.0), Le(0.99)] = 0.0
     """Part of the sensitivity lost in a year of 8,766 h."""
 
 
 @bounded
-class LooseContactFault:
+class LooseContactFault(_Fault):
     """Chain and cable sit loosely: from shot to shot, gain and plate contact jump and jump back."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a shot from then on."""
     gain_factor: Annotated[float, Gt(0.0), Le(1.0)] = 0.6
@@ -93,13 +93,9 @@ class LooseContactFault:
 
 
 @bounded
-class TemperatureFault:
+class TemperatureFault(_GradualFault):
     """A transducer warmer or colder than the room; it acts through the ways of `DriftParameters`."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
-    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hours until it has its full size; 0: at once."""
     change_k: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
     """Full difference from the room's temperature."""
 
@@ -115,11 +111,9 @@ class ClippingFault:
 
 
 @bounded
-class SpikesFault:
+class SpikesFault(_Fault):
     """Short electrical pulses of either sign at random times; the board may trigger on one."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
     rate_hz: Annotated[float, Ge(0.0), Le(1e4)] = 0.0
     """Mean number a second; a record of the default length lasts 1.36 ms."""
     height_v: Annotated[float, Gt(0.0), Le(1e3)] = 1.0
@@ -131,11 +125,9 @@ class SpikesFault:
 
 
 @bounded
-class MainsHumFault:
+class MainsHumFault(_Fault):
     """A ground loop: a sinusoid of the mains' frequency whose phase no strike knows."""
 
-    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
-    """Hour at which it begins."""
     amplitude_v: Annotated[float, Ge(0.0), Le(1e3)] = 0.0
     """Amplitude at the digitizer's input; below the trigger level, or the board would trigger on it."""
     frequency_hz: Annotated[float, Ge(10.0), Le(1e3)] = 50.0

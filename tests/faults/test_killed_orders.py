@@ -161,7 +161,9 @@ class Client(threading.Thread):
             return alarm_orders(self._newest("alarms?position=C&kind=retired&active=true"))[step - 3]
         return {
             0: note,
-            1: lambda: (f"annotations/{self._newest('annotations?withdrawn=false')}/withdraw", {}),
+            1: lambda: command(
+                "withdraw_annotation", annotation_id=self._newest("annotations?withdrawn=false")
+            ),
             2: lambda: command("retire", position="C"),
             8: lambda: command("reinstate", position="C", note=person(self.given)),
             9: lambda: command("hold", note="hands in the rig"),

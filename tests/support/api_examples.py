@@ -23,12 +23,6 @@ LONGEST_LIST = 2
 BODIES: dict[str, Any] = {
     "create_command": {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}},
     "acknowledge_alarm": {"author": "ann", "note": "inspected"},
-    "shelve_alarm": {"author": "ann", "for_h": 8, "reason": "the liquid is changed"},
-    "unshelve_alarm": {"author": "ann"},
-    "take_alarm_out_of_service": {"author": "ann", "reason": "a new transducer is mounted"},
-    "return_alarm_to_service": {"author": "ann"},
-    "create_annotation": {"author": "ann", "from_h": 1.0, "text": "the liquid was changed"},
-    "withdraw_annotation": {"author": "ann"},
     "create_token": {"name": "bob", "role": "viewer", "days": 30},
 }
 ORDER = ("get_command", "list_audit", "revoke_token", "log_out")
@@ -42,18 +36,6 @@ BY_HAND: dict[str, tuple[str, Any]] = {
     "stream_events": ("text/event-stream", STREAM),
     "test_receiver": ("application/json", TRIAL),  # it would need somebody who receives
 }
-AFTER: dict[str, tuple[str, dict[str, Any]]] = {
-    "unshelve_alarm": ("shelve_alarm", {"kind": "unshelve_alarm", "arguments": {"alarm_id": 1}}),
-    "return_alarm_to_service": (
-        "take_alarm_out_of_service",
-        {"kind": "return_to_service", "arguments": {"alarm_id": 1}},
-    ),
-    "withdraw_annotation": (
-        "create_annotation",
-        {"kind": "withdraw_annotation", "arguments": {"annotation_id": 1}},
-    ),
-}
-"""Refused until another order is carried out, which no recorder does here: answered as that one is."""
 
 
 def shortened(value: Any) -> Any:
@@ -119,9 +101,6 @@ def write_examples(folder: Path, *, anew: bool) -> None:
                 if told is not None:
                     answers.setdefault(operation["operationId"], told)
     filled.close()
-    for name, (like, differs) in AFTER.items():
-        first = answers[like]
-        answers[name] = {**first, "answer": {**first["answer"], **differs}, "body": BODIES[name]}
     answers |= {name: kept[name] for name in answers.keys() & kept.keys()}
     content = json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True)
     FILE.write_text(f"{content}\n", encoding="utf-8")

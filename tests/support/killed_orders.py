@@ -69,22 +69,21 @@ def person(number: int) -> str:
 
 def alarm_orders(alarm_id: int) -> list[tuple[str, dict[str, Any]]]:
     """Path and body of each order about an alarm, each possible after those before it."""
-    path = f"alarms/{alarm_id}"
     return [
-        (f"{path}/acknowledge", {"note": "seen"}),
-        (f"{path}/shelve", {"for_h": 8.0, "reason": "a new coil comes"}),
-        (f"{path}/unshelve", {}),
-        (f"{path}/out-of-service", {"reason": "taken apart"}),
-        (f"{path}/return-to-service", {"note": "put together"}),
+        (f"alarms/{alarm_id}/acknowledge", {"note": "seen"}),
+        command("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil comes"),
+        command("unshelve_alarm", alarm_id=alarm_id),
+        command("take_out_of_service", alarm_id=alarm_id, reason="taken apart"),
+        command("return_to_service", alarm_id=alarm_id, note="put together"),
     ]
 
 
 def note() -> tuple[str, dict[str, Any]]:
     """Path and body of an annotation."""
-    return "annotations", {"from_h": 1.0, "to_h": 2.0, "text": "couplant renewed"}
+    return command("annotate", from_h=1.0, to_h=2.0, text="couplant renewed")
 
 
-def command(kind: str, **arguments: str) -> tuple[str, dict[str, Any]]:
+def command(kind: str, **arguments: str | float) -> tuple[str, dict[str, Any]]:
     """Path and body of an order that has no path of its own."""
     return "commands", {"kind": kind, "arguments": arguments}
 
@@ -147,7 +146,7 @@ def give_each(folder: Path, trace: Path) -> None:
     orders = [
         *alarm_orders(alarm_id),
         note(),
-        (f"annotations/{annotation_id}/withdraw", {}),
+        command("withdraw_annotation", annotation_id=annotation_id),
         command("hold", note="hands in the rig"),
         command("release"),
         command("retire", position="C"),

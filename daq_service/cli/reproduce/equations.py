@@ -8,12 +8,11 @@ averaged records with a plain sum of products.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from daq_service.cli.reproduce.evidence import Evidence, PulseEchoes, SolitaryWaves, Trace
-from daq_service.cli.reproduce.item import Item, Material, NotAvailableError, Product, Table
+from daq_service.cli.reproduce.item import Item, Material, Product, stacked
 from daq_service.cli.reproduce.style import colour_of, name_panels, sheet
 
 GATE_S = 90e-6
@@ -31,19 +30,11 @@ _COLUMNS = (
 
 def draw_equations(material: Material) -> Product:
     """Autocorrelation, its coefficient and the area under the PSW over the test."""
-    test = material.test
-    names = list(test.pulses)
-    if not names:
-        raise NotAvailableError("the test has no solitary-wave transducer")
+    test, names = material.test, material.transducers
     figure, axes = sheet(1, 3, height_in=3.0)
-    columns: dict[str, list[Any]] = {"position": [], "set_index": [], "due_h": []}
     for name in names:
         pulses = test.pulses[name]
-        columns["position"] += [name] * pulses.hour_h.size
-        columns["set_index"] += pulses.set_index.tolist()
-        columns["due_h"] += pulses.hour_h.tolist()
         for axis, (column, scale, label) in zip(axes, _COLUMNS, strict=True):
-            columns.setdefault(column, []).extend(pulses.values[column].tolist())
             axis.plot(
                 pulses.hour_h,
                 scale * pulses.values[column],
@@ -56,7 +47,8 @@ def draw_equations(material: Material) -> Product:
             axis.set(xlabel="hour of the test (h)", ylabel=label)
     axes[0].legend(markerscale=3)
     name_panels(axes, ("travel time", "coefficient", "area"))
-    return Product(drawing=figure, tables={"": Table(columns=columns)}, notes=tuple(_checks(test)))
+    table = stacked(test, lambda pulses: {column: pulses.values[column] for column, *_ in _COLUMNS})
+    return Product(drawing=figure, tables={"": table}, notes=tuple(_checks(test)))
 
 
 def _checks(test: Evidence) -> Sequence[str]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from daq_service.cli.reproduce.evidence import Evidence
+from daq_service.cli.reproduce.evidence import Evidence, FloatArray, SolitaryWaves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -78,6 +78,17 @@ class Table:
             raise ValueError(f"columns of a table differ in length: {lengths}")
 
 
+def stacked(test: Evidence, columns: Callable[[SolitaryWaves], Mapping[str, FloatArray]]) -> Table:
+    """Put columns of the sets of all transducers below each other, beside position, set and hour."""
+    table: dict[str, list[Any]] = {}
+    for name, pulses in test.pulses.items():
+        part = {"set_index": pulses.set_index, "due_h": pulses.hour_h, **columns(pulses)}
+        table.setdefault("position", []).extend([name] * pulses.hour_h.size)
+        for key, values in part.items():
+            table.setdefault(key, []).extend(values.tolist())
+    return Table(columns=table)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Material:
     """What an item is made from.
@@ -112,6 +123,13 @@ class Material:
         if self.evidence is None:
             raise NotAvailableError("no test was run or read")
         return self.evidence
+
+    @property
+    def transducers(self) -> list[str]:
+        """Names of the test's solitary-wave transducers, of which the item needs one."""
+        if not self.test.pulses:
+            raise NotAvailableError("the test has no solitary-wave transducer")
+        return list(self.test.pulses)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

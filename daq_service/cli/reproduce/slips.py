@@ -242,7 +242,7 @@ def _nothing(_: Material) -> str:
     return "nothing to compute"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Slip:
     """One slip: what is printed, what is right, and how our finding is made."""
 
@@ -252,72 +252,69 @@ class Slip:
     finding: Callable[[Material], str]
 
 
-SLIPS = tuple(
-    Slip(where=where, prints=prints, right=right, finding=finding)
-    for where, prints, right, finding in (
-        (
-            "eq. 1",
-            "dashpot gamma d_dot [d]_+",
-            "its unit is N m; meant is gamma d_dot while in contact",
-            _dashpot,
-        ),
-        ("eq. 2, i = N", "the bracket as it stands", "the bracket to the power -1", _bracket),
-        ("eq. 5", "E / (1 + nu)", "the shear modulus E / (2 (1 + nu))", _shear),
-        (
-            "section 3; figures 12, 13",
-            "5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
-            "such elements lock where they are larger than the thickness",
-            _locking,
-        ),
-        (
-            "section 3",
-            "a finer mesh changes nothing",
-            "the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
-            _point_load,
-        ),
-        ("figure 13(b)", "AR decreases as the depth increases", "AR is not monotonic", _not_monotonic),
-        (
-            "section 4, eq. 13",
-            "the offset of eq. 13 comes from precompression and damping",
-            "eq. 13 lies above the very chain it approximates",
-            _equation_13,
-        ),
-        (
-            "figure 14",
-            "limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
-            "two different sets; computed here, never taken over",
-            _thresholds,
-        ),
-        ("Table 2, row 5", "lambda 0.273, AR 0.585", "0.272 and 0.582", _row_5),
-        (
-            "section 4, figure 15",
-            "4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
-            "34 %; the core is 40 % thinner",
-            _thinner,
-        ),
-        ("sections 2 and 3", "nu 0.28 and nu 0.3", "one of them", _poisson),
-        ("section 4, figure 9", "half of the acoustic energy comes back", "AR is a ratio of forces", _energy),
-        ("figure 12", "gamma has minor effects on the ToF", "not at 1,000 N s/m", _gamma),
-        (
-            "figure 15",
-            "text: thickness on the left axis",
-            "caption: travel time on the left, thickness on the right",
-            _nothing,
-        ),
-        (
-            "section 2",
-            "non-ferromagnetic stainless steel 440C",
-            "440C is martensitic and ferromagnetic",
-            _nothing,
-        ),
-        ("sections 2 and 3", "no liquid in any model", "the wet face carries salt solution", _salt_water),
-        (
-            "section 4",
-            "AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
-            "figure 8 shows ToF, figure 15 ultrasound",
-            _nothing,
-        ),
-    )
+SLIPS = (
+    Slip(
+        "eq. 1",
+        "dashpot gamma d_dot [d]_+",
+        "its unit is N m; meant is gamma d_dot while in contact",
+        _dashpot,
+    ),
+    Slip("eq. 2, i = N", "the bracket as it stands", "the bracket to the power -1", _bracket),
+    Slip("eq. 5", "E / (1 + nu)", "the shear modulus E / (2 (1 + nu))", _shear),
+    Slip(
+        "section 3; figures 12, 13",
+        "5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
+        "such elements lock where they are larger than the thickness",
+        _locking,
+    ),
+    Slip(
+        "section 3",
+        "a finer mesh changes nothing",
+        "the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
+        _point_load,
+    ),
+    Slip("figure 13(b)", "AR decreases as the depth increases", "AR is not monotonic", _not_monotonic),
+    Slip(
+        "section 4, eq. 13",
+        "the offset of eq. 13 comes from precompression and damping",
+        "eq. 13 lies above the very chain it approximates",
+        _equation_13,
+    ),
+    Slip(
+        "figure 14",
+        "limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
+        "two different sets; computed here, never taken over",
+        _thresholds,
+    ),
+    Slip("Table 2, row 5", "lambda 0.273, AR 0.585", "0.272 and 0.582", _row_5),
+    Slip(
+        "section 4, figure 15",
+        "4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
+        "34 %; the core is 40 % thinner",
+        _thinner,
+    ),
+    Slip("sections 2 and 3", "nu 0.28 and nu 0.3", "one of them", _poisson),
+    Slip("section 4, figure 9", "half of the acoustic energy comes back", "AR is a ratio of forces", _energy),
+    Slip("figure 12", "gamma has minor effects on the ToF", "not at 1,000 N s/m", _gamma),
+    Slip(
+        "figure 15",
+        "text: thickness on the left axis",
+        "caption: travel time on the left, thickness on the right",
+        _nothing,
+    ),
+    Slip(
+        "section 2",
+        "non-ferromagnetic stainless steel 440C",
+        "440C is martensitic and ferromagnetic",
+        _nothing,
+    ),
+    Slip("sections 2 and 3", "no liquid in any model", "the wet face carries salt solution", _salt_water),
+    Slip(
+        "section 4",
+        "AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
+        "figure 8 shows ToF, figure 15 ultrasound",
+        _nothing,
+    ),
 )
 
 

@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from analysis.errors import AnalysisError
 from analysis.statistics.trend import Trend, fit_trend
-from daq_service.cli.reproduce.evidence import Evidence, SolitaryWaves
-from daq_service.cli.reproduce.item import (
-    Found,
-    Item,
-    Material,
-    NotAvailableError,
-    Product,
-    Table,
-    found,
-    missing,
-)
+from daq_service.cli.reproduce import item
+from daq_service.cli.reproduce.evidence import Evidence, FloatArray, SolitaryWaves
 from daq_service.cli.reproduce.paper_values import printed
 from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, colour_of, name_panels, sheet
 
@@ -64,11 +54,11 @@ def _fits(test: Evidence, look: _Look) -> dict[str, _Fit | str]:
 
 
 def _draw(
-    test: Evidence, look: _Look, found_by: Callable[[Mapping[str, _Fit | str]], dict[str, Found]]
-) -> Product:
-    names = list(test.pulses)
-    if not names:
-        raise NotAvailableError("the test has no solitary-wave transducer")
+    material: item.Material,
+    look: _Look,
+    found_by: Callable[[Mapping[str, _Fit | str]], dict[str, item.Found]],
+) -> item.Product:
+    test, names = material.test, material.transducers
     fits = _fits(test, look)
     figure, axes = sheet(1, len(names), height_in=3.3, sharex=True, sharey=True)
     for axis, name in zip(axes, names, strict=True):
@@ -82,7 +72,7 @@ def _draw(
     figure.legend(list(told.values()), list(told), loc="outside lower center", ncols=3)
     name_panels(axes, [f"position {name}" for name in names])
     notes = tuple(f"No fit at {name}: {fit}." for name, fit in fits.items() if isinstance(fit, str))
-    return Product(
+    return item.Product(
         drawing=figure,
         tables={"": _table(test, look, fits), "fits": _fit_table(fits)},
         found=found_by(fits),
@@ -109,29 +99,19 @@ def _panel(axis: Axes, pulses: SolitaryWaves, look: _Look, fit: _Fit | str, colo
         axis.plot([hour], [value], **PAPER_MARK, label="paper, beginning and end" if number == 0 else None)
 
 
-def _table(test: Evidence, look: _Look, fits: Mapping[str, _Fit | str]) -> Table:
-    columns: dict[str, list[Any]] = {"position": [], "set_index": [], "due_h": [], look.column: [], "fit": []}
-    for name, pulses in test.pulses.items():
-        fit = fits[name]
-        values = pulses.values[look.column]
-        columns["position"] += [name] * values.size
-        columns["set_index"] += pulses.set_index.tolist()
-        columns["due_h"] += pulses.hour_h.tolist()
-        columns[look.column] += values.tolist()
-        fitted = (
-            (fit.trend.at(pulses.hour_h) / look.scale).tolist()
-            if isinstance(fit, _Fit)
-            else [None] * values.size
-        )
-        columns["fit"] += fitted
-    columns[f"fit_of_{look.column}"] = columns.pop("fit")
-    return Table(columns=columns)
+def _table(test: Evidence, look: _Look, fits: Mapping[str, _Fit | str]) -> item.Table:
+    def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
+        fit, hours = fits[pulses.position], pulses.hour_h
+        fitted = fit.trend.at(hours) / look.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
+        return {look.column: pulses.values[look.column], f"fit_of_{look.column}": fitted}
+
+    return item.stacked(test, columns)
 
 
-def _fit_table(fits: Mapping[str, _Fit | str]) -> Table:
+def _fit_table(fits: Mapping[str, _Fit | str]) -> item.Table:
     """Coefficients in the axis's unit: value = constant + linear t + quadratic t^2, t in h."""
     rows = [(name, fit) for name, fit in fits.items() if isinstance(fit, _Fit)]
-    return Table(
+    return item.Table(
         columns={
             "position": [name for name, _ in rows],
             "constant": [fit.trend.constant for _, fit in rows],
@@ -145,16 +125,16 @@ def _fit_table(fits: Mapping[str, _Fit | str]) -> Table:
     )
 
 
-def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], float]) -> Found:
+def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], float]) -> item.Found:
     fit = fits.get(position)
     if fit is None:
-        return missing(f"the test has no solitary-wave position {position}")
+        return item.missing(f"the test has no solitary-wave position {position}")
     if isinstance(fit, str):
-        return missing(fit)
-    return found(value(fit), f"to hour {fit.last_h:g}")
+        return item.missing(fit)
+    return item.found(value(fit), f"to hour {fit.last_h:g}")
 
 
-def draw_fig8(material: Material) -> Product:
+def draw_fig8(material: item.Material) -> item.Product:
     """Time of flight by peaks."""
 
     def marks(position: str) -> Sequence[tuple[str, float]]:
@@ -164,15 +144,15 @@ def draw_fig8(material: Material) -> Product:
         rise = printed("fig8", f"tof_rise_{position}")
         return (("start", start), ("end", start * (1.0 + 0.01 * rise)))
 
-    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, item.Found]:
         start = {f"tof_start_{p}": _of(fits, p, lambda fit: fit.trend.constant) for p in "BCD"}
         return {**start, **{f"tof_rise_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}}
 
     look = _Look(column="tof_pp_s", scale=1e6, label="time of flight, peak to peak (µs)", paper_marks=marks)
-    return _draw(material.test, look, values)
+    return _draw(material, look, values)
 
 
-def draw_fig9(material: Material) -> Product:
+def draw_fig9(material: item.Material) -> item.Product:
     """Amplitude ratio."""
 
     def marks(position: str) -> Sequence[tuple[str, float]]:
@@ -182,7 +162,7 @@ def draw_fig9(material: Material) -> Product:
         end = start if position == "D" else printed("fig9", f"ar_end_{position}")
         return (("start", start), ("end", end))
 
-    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, item.Found]:
         start = {f"ar_start_{p}": _of(fits, p, lambda fit: fit.trend.constant) for p in "BCD"}
         end = {f"ar_end_{p}": _of(fits, p, lambda fit: float(fit.trend.at(fit.last_h))) for p in "BC"}
         fall = {f"ar_fall_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
@@ -191,38 +171,38 @@ def draw_fig9(material: Material) -> Product:
     look = _Look(
         column="amplitude_ratio", scale=1.0, label="amplitude ratio PSW / ISW (1)", paper_marks=marks
     )
-    return _draw(material.test, look, values)
+    return _draw(material, look, values)
 
 
-def draw_fig11(material: Material) -> Product:
+def draw_fig11(material: item.Material) -> item.Product:
     """ISW amplitude; the paper prints no number, only that there is no trend."""
 
-    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, item.Found]:
         return {f"isw_trend_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
 
     look = _Look(
         column="isw_amplitude_v", scale=1.0, label="amplitude of the ISW (V)", paper_marks=lambda _: ()
     )
-    return _draw(material.test, look, values)
+    return _draw(material, look, values)
 
 
 _PARABOLA = "Each point is a set's feature, the line a second-order fit through all of them"
 
-FIG8 = Item(
+FIG8 = item.Item(
     name="fig8",
     title="Figure 8. Time of flight over the test",
     shows=f"{_PARABOLA}; diamonds: where the paper's fits begin (about 325 us) and about 10 % above that.",
     make=draw_fig8,
     needs_test=True,
 )
-FIG9 = Item(
+FIG9 = item.Item(
     name="fig9",
     title="Figure 9. Amplitude ratio over the test",
     shows=f"{_PARABOLA}; diamonds: the paper's values at the beginning and the end.",
     make=draw_fig9,
     needs_test=True,
 )
-FIG11 = Item(
+FIG11 = item.Item(
     name="fig11",
     title="Figure 11. Amplitude of the incident wave over the test",
     shows=f"{_PARABOLA}; the paper finds no trend.",

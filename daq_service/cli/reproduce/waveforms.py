@@ -8,17 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import Evidence, SolitaryWaves, Trace
-from daq_service.cli.reproduce.item import (
-    Found,
-    Item,
-    Material,
-    NotAvailableError,
-    Product,
-    Table,
-    found,
-    missing,
-)
 from daq_service.cli.reproduce.style import BLACK, ORANGE, PURPLE, colour_of, name_panels, sheet
 
 WINDOW_US = (-60.0, 900.0)
@@ -28,12 +19,12 @@ ROOM = 1.8
 """Height of an incident wave in units of the distance between two traces."""
 
 
-def draw_fig7(material: Material) -> Product:
+def draw_fig7(material: item.Material) -> item.Product:
     """Averaged records, later ones higher up, with the marks that the features come from."""
     test = material.test
     names = [name for name in test.pulses if test.traces.get(name)]
     if not names:
-        raise NotAvailableError("the folder has no readable waveform of a solitary-wave transducer")
+        raise item.NotAvailableError("the folder has no readable waveform of a solitary-wave transducer")
     figure, axes = sheet(1, len(names), height_in=6.0, sharey=True)
     last_h = max(trace.hour_h for name in names for trace in test.traces[name])
     for axis, name in zip(axes, names, strict=True):
@@ -43,7 +34,7 @@ def draw_fig7(material: Material) -> Product:
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     name_panels(axes, [f"position {name}" for name in names])
-    return Product(
+    return item.Product(
         drawing=figure,
         tables={name: _table(test.traces[name]) for name in names},
         found={**_isw_time(test, names), **{f"change_hour_{p}": _change(test, p) for p in "BC"}},
@@ -92,7 +83,7 @@ def _every(trace: Trace) -> int:
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
-def _table(traces: Sequence[Trace]) -> Table:
+def _table(traces: Sequence[Trace]) -> item.Table:
     """All traces of a position on the first one's times; another record length is padded with nothing."""
     first = traces[0].time_s
     every = _every(traces[0])
@@ -101,10 +92,10 @@ def _table(traces: Sequence[Trace]) -> Table:
         values: list[Any] = [round(float(v), 6) for v in trace.volts[::every]][: len(columns["time_s"])]
         values += [None] * (len(columns["time_s"]) - len(values))
         columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = values
-    return Table(columns=columns)
+    return item.Table(columns=columns)
 
 
-def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, Found]:
+def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
     """Time from the striker's touch: the record's own zero is the trigger, which the paper does not state."""
     times = [
         trace.truth["isw_time_s"]
@@ -114,26 +105,26 @@ def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, Found]:
     ]
     if not times:
         return {
-            "isw_time": missing(
+            "isw_time": item.missing(
                 "a record begins at its trigger; only the twin knows when the striker touched"
             )
         }
-    return {"isw_time": found(1e6 * float(np.median(times)), "after the striker's touch")}
+    return {"isw_time": item.found(1e6 * float(np.median(times)), "after the striker's touch")}
 
 
-def _change(test: Evidence, position: str) -> Found:
+def _change(test: Evidence, position: str) -> item.Found:
     if position not in test.pulses:
-        return missing(f"the test has no solitary-wave position {position}")
+        return item.missing(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h
     if hour is None:
-        return missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
+        return item.missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.configuration.get("alarms", {})
     by_chart = rule.get("decides_by") == "chart"
     told = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
-    return found(hour, f"first alarm ({told})")
+    return item.found(hour, f"first alarm ({told})")
 
 
-FIG7 = Item(
+FIG7 = item.Item(
     name="fig7",
     title="Figure 7. Solitary waves over the test",
     shows="Mean record of a set at each transducer, lifted to its hour; marks are the times of ISW, PSW and "

@@ -15,6 +15,7 @@ from daq_service.catalogue import rows
 from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
 from daq_service.judgement.standing import PositionStatus
 from daq_service.orders.audit import Result
+from daq_service.processes.notifications.delivery_log import What
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
 
@@ -379,21 +380,26 @@ class BaselineList(Answer):
     items: list[BaselineRow]
 
 
-class PositionState(Answer):
-    """A monitored place as it stands now."""
+class PositionStanding(Answer):
+    """A monitored place, in a word."""
 
     position: str
     label: str
     method: Method
-    serial_number: str
     state: PositionStatus = Field(
         description="`not_judged`: `last_verdict.reason` gives the reason. `shelved`, `out_of_service`: an "
         "alarm is active, but suppressed"
     )
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
     data_h: float | None = Field(description="Hour of the newest set that was measured")
-    data_utc: str | None
     age_h: float | None = Field(description="Age of that set on the experiment's clock")
+
+
+class PositionState(PositionStanding):
+    """A monitored place as it stands now."""
+
+    serial_number: str
+    data_utc: str | None
     last_set: SetRow | None
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None
@@ -806,18 +812,9 @@ class DeliveryEntry(Answer):
     id: int = Field(description="Running number; one that is missing was damaged or taken away")
     utc: str
     receiver: str
-    what: Literal[
-        "began",
-        "passed",
-        "held_back",
-        "sending",
-        "sent",
-        "failing",
-        "gave_up",
-        "heartbeat",
-        "tested",
-        "test_failed",
-    ] = Field(description="`sending` without `sent` behind it: it is under way, or a crash came in between")
+    what: What = Field(
+        description="`sending` without `sent` behind it: it is under way, or a crash came in between"
+    )
     told: str
     event_ids: list[int]
     key: str = Field(description="The message's Idempotency-Key; the same again is the same message")

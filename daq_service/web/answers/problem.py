@@ -101,6 +101,11 @@ def conflict(detail: str, hint: str) -> Problem:
     return Problem(409, "conflict", "Conflict with the present state", detail, hint)
 
 
+def invalid(title: str, detail: str, hint: str) -> Problem:
+    """Refuse a request that asks for what cannot be."""
+    return Problem(422, "invalid-request", title, detail, hint)
+
+
 def request_id(scope: Scope) -> str:
     """Name of this request, given by `guards.RequestGuard`."""
     return str(scope.get("state", {}).get("request_id", ""))
@@ -167,9 +172,7 @@ def install(app: FastAPI) -> None:
             {"in": str(part["loc"][0]), "pointer": json_pointer(part["loc"][1:]), "detail": part["msg"]}
             for part in error.errors()
         ]
-        problem = Problem(
-            422,
-            "invalid-request",
+        problem = invalid(
             "The request is not valid",
             "; ".join(f"{part['in']} {part['pointer']}: {part['detail']}" for part in errors),
             "Correct the parts listed in `errors`; /api/v1/openapi.json describes them.",

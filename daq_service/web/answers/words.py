@@ -188,7 +188,8 @@ WORDS: Mapping[str, str] = {
     "first_outlier_set_index": "First outlier of each bin; null: it has none",
     "first_alarm_set_index": "First set of each bin with an alarm; null: it has none",
     # Orders, tokens, audit.
-    "CommandRow.kind": "What is ordered",
+    "kind": "What is ordered",
+    "arguments": "What the order is about",
     "CommandRow.arguments": "What the order is about, by kind",
     "AuditEntry.arguments": "What was asked for, without what opens",
     "author": "Who gives the order; with a token its name, whatever is said here",
@@ -226,17 +227,6 @@ WORDS: Mapping[str, str] = {
     # Parameters alone.
     "list_sets.state": "Only sets that became this",
     "revoke_token.name": "Whose token",
-    # Orders, one schema a kind.
-    **{
-        f"{order}.{name}": told
-        for order in (
-            *("AcknowledgeAlarm", "Confirm", "FinishNow", "Hold", "Reinstate", "Release"),
-            *("ApproveBaseline", "RenewBaseline", "Retire", "Stop", "SupplyOff", "SupplyOn", "TrustClock"),
-            *("Annotate", "WithdrawAnnotation", "ShelveAlarm", "UnshelveAlarm"),
-            *("TakeOutOfService", "ReturnToService"),
-        )
-        for name, told in (("kind", "What is ordered"), ("arguments", "What the order is about"))
-    },
     # Suppressed alarms, and notes.
     "suppressed_by": "Who shelved it or took it out of service; null: nobody",
     "suppressed_because": "Why; null: it is not suppressed",
@@ -282,93 +272,24 @@ WORDS: Mapping[str, str] = {
 }
 """Meaning by name, or by `Schema.name` or `operation.name` where a name means something of its own there."""
 
+RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
+"""Endings of numbers without a unit; a whole number needs none: it is a count or an index."""
 PURE = frozenset(
-    [
-        "active_alarms",
-        "after",
-        "alarm_id",
-        "amplitude_ratio",
-        "annotation_id",
-        "attempt",
-        "attempts",
-        "autocorrelation_coefficient",
-        "baseline_id",
-        "baseline_sets",
+    {
         "averages",
-        "bin_sets",
-        "cause_probability",
         "chart",
-        "command_id",
-        "consecutive_sets",
         "contributions",
-        "correlation_coefficient",
-        "count",
-        "counts",
-        "crc32",
-        "distance_squared",
-        "event_id",
-        "event_ids",
-        "failed",
         "false_alarm_rate",
         "false_alarms_per_sensor_year",
-        "first_alarm_set_index",
-        "first_outlier_set_index",
-        "first_set",
-        "first_set_index",
-        "gave_up",
-        "id",
-        "k",
-        "last_event_id",
-        "last_set",
-        "last_set_index",
-        "left_out",
         "limit",
         "limit_f",
         "limit_paper",
         "limits",
-        "minimum_valid_shots",
-        "n",
-        "n_alarms",
-        "n_missed",
-        "n_outliers",
-        "n_outliers_paper",
-        "n_planned",
-        "n_restrikes",
-        "n_samples",
-        "n_sets",
-        "n_taken",
-        "n_valid",
-        "pending_sets",
-        "points",
-        "poor_sets_running",
-        "pretrigger_samples",
-        "psw_isw_area_ratio",
-        "r_squared",
-        "raised_set_index",
         "relative_humidity",
-        "row_sets",
-        "rows",
-        "rules",
-        "sent",
-        "sequence",
-        "set_index",
-        "shot_index",
         "statistics",
-        "shots",
-        "shots_per_set",
-        "shots_without_psw",
-        "shown",
-        "status",
-        "stream_clients",
-        "suppressed_alarms",
-        "tests",
-        "thickness_loss_fraction",
-        "unreadable_sets",
-        "waiting",
-        "waveform_clients",
-    ]
+    }
 )
-"""Numbers without a unit: counts, indices, ratios, squared distances in units of the scatter."""
+"""Further ones: rates, statistics in units of the scatter."""
 OWN_UNIT = frozenset({"coefficients", "residual_sd", "mean", "covariance", "minimum", "maximum", "columns"})
 """Numbers whose unit stands beside them, by field or column: the description says which."""
 OTHER_UNITS: Mapping[str, str] = {"days": "d"} | dict.fromkeys(

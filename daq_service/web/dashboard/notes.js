@@ -1,10 +1,9 @@
 // What people noted of hours of the test: the list, and the dialog that adds to it.
 
-import { post } from "./api.js";
-import { author, may } from "./control/who.js";
+import { may } from "./control/who.js";
 import { button, el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
-import { follow } from "./orders.js";
+import { order } from "./orders.js";
 
 /** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void, now: () => number}} Host */
 
@@ -109,9 +108,9 @@ export class SolimonNotes extends HTMLElement {
   }
 
   async save() {
-    const body = { text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
+    const note = { text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
     try {
-      await follow(await post("/annotations", { ...body, author: await author() }), (word) => setText(this.trouble, word));
+      await order("annotate", note, (word) => setText(this.trouble, word));
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);
@@ -122,7 +121,7 @@ export class SolimonNotes extends HTMLElement {
   async withdraw(id, button) {
     button.disabled = true;
     try {
-      await follow(await post(`/annotations/${id}/withdraw`, { author: await author() }), (word) => setText(button, word));
+      await order("withdraw_annotation", { annotation_id: id }, (word) => setText(button, word));
     } catch (error) {
       button.disabled = false;
       setText(button, "Withdraw");

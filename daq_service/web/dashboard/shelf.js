@@ -1,10 +1,8 @@
 // Shelving: for how long, and why. An alarm is told again when the time is over, or when a person says so.
 
-import { post } from "./api.js";
-import { author } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { utc } from "./format.js";
-import { follow } from "./orders.js";
+import { order } from "./orders.js";
 
 const LENGTHS = [
   ["1", "1 hour"],
@@ -23,7 +21,7 @@ export function suppressedText(alarm) {
 
 /** @param {any} alarm @param {(word: string) => void} say */
 export async function tellAgain(alarm, say) {
-  await follow(await post(`/alarms/${alarm.id}/${alarm.suppressed === "shelved" ? "unshelve" : "return-to-service"}`, { author: await author() }), say);
+  await order(alarm.suppressed === "shelved" ? "unshelve_alarm" : "return_to_service", { alarm_id: alarm.id }, say);
 }
 
 export class ShelfDialog {
@@ -68,9 +66,8 @@ export class ShelfDialog {
   async save() {
     const hours = this.length.value;
     try {
-      const given = { author: await author(), reason: this.reason.value };
-      const row = await post(`/alarms/${this.id}/${hours ? "shelve" : "out-of-service"}`, hours ? { ...given, for_h: Number(hours) } : given);
-      await follow(row, (word) => setText(this.trouble, word));
+      const given = { alarm_id: this.id, reason: this.reason.value };
+      await order(hours ? "shelve_alarm" : "take_out_of_service", hours ? { ...given, for_h: Number(hours) } : given, (word) => setText(this.trouble, word));
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);

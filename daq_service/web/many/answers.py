@@ -9,21 +9,8 @@ from pydantic import Field
 from daq_service.catalogue.rows import Severity
 from daq_service.judgement.standing import PositionStatus
 from daq_service.processes.recorder_state import Word
-from daq_service.web.answers.models import Answer, Liveness
+from daq_service.web.answers.models import Answer, Liveness, PositionStanding
 from daq_service.web.many.place import Absence
-from hardware_drivers.methods import Method
-
-
-class PositionStanding(Answer):
-    """A monitored place of a test, in a word."""
-
-    position: str = Field(description="Its name in the test")
-    label: str = Field(description="What a person calls it")
-    method: Method = Field(description="How it is measured")
-    state: PositionStatus = Field(description="How it stands")
-    stale: bool = Field(description="The newest data are older than this test's cadence explains")
-    data_h: float | None = Field(description="Hour of the newest set that was measured, h")
-    age_h: float | None = Field(description="Age of that set on the test's clock, h")
 
 
 class Standing(Answer):

@@ -16,7 +16,7 @@ from daq_service.orders.deadline import look_at_order
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import AuditPage, problems
-from daq_service.web.answers.problem import Problem
+from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.doors.roles import OPERATIONS, ORDERS
 from daq_service.web.routes.listing import CursorText, Limit, listing_name
@@ -87,17 +87,17 @@ def _kinds(what: str | None) -> frozenset[str] | None:
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(DEEDS):
         unknown = ", ".join(sorted(kinds - set(DEEDS)))
-        raise _invalid(f"what names {unknown[:200]!r}.", f"It takes {', '.join(DEEDS)}.")
+        raise invalid("No such deeds", f"what names {unknown[:200]!r}.", f"It takes {', '.join(DEEDS)}.")
     return kinds
 
 
 def _check_range(first_ns: int | None, end_ns: int | None) -> None:
     if first_ns is not None and end_ns is not None and end_ns < first_ns:
-        raise _invalid("to_utc lies before from_utc.", "The range includes from_utc and excludes to_utc.")
-
-
-def _invalid(detail: str, hint: str) -> Problem:
-    return Problem(422, "invalid-request", "No such deeds", detail, hint)
+        raise invalid(
+            "No such deeds",
+            "to_utc lies before from_utc.",
+            "The range includes from_utc and excludes to_utc.",
+        )
 
 
 def _utc_ns(moment: datetime | None) -> int | None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
-from daq_service.web.answers.words import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, TAGS, WORDS
+from daq_service.web.answers.words import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, RATIOS, TAGS, WORDS
 from daq_service.web.doors.roles import OPERATIONS, ORDERS
 from hardware_drivers.units import unit_of
 
@@ -87,17 +87,19 @@ def _mark_unit(marked: dict[str, Any], name: str, schema: dict[str, Any]) -> Non
     """Write a number's unit as UDUNITS has it; `1`: it has none, `own`: it stands beside the number."""
     if not holds_numbers(schema):
         return
-    unit = unit_of(name) or OTHER_UNITS.get(name, "1" if name in PURE else "own" if name in OWN_UNIT else "")
+    unit = unit_of(name) or OTHER_UNITS.get(name, "own" if name in OWN_UNIT else "")
+    if not unit and (name in PURE or name.endswith(RATIOS) or not holds_numbers(schema, {"number"})):
+        unit = "1"
     if unit:
         marked["x-unit"] = unit
 
 
-def holds_numbers(schema: Any) -> bool:
-    """Tell that a value of this schema is a number, or has numbers in lists or by name."""
+def holds_numbers(schema: Any, kinds: Collection[str] = ("number", "integer")) -> bool:
+    """Tell that a value of this schema is a number of these kinds, or has such in lists or by name."""
     if not isinstance(schema, dict):
         return False
     parts = [*schema.get("anyOf", ()), schema.get("items"), schema.get("additionalProperties")]
-    return schema.get("type") in {"number", "integer"} or any(map(holds_numbers, parts))
+    return schema.get("type") in kinds or any(holds_numbers(part, kinds) for part in parts)
 
 
 def _give_example(operation: dict[str, Any]) -> None:

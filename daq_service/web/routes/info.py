@@ -73,9 +73,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "positions": [
                 {
                     "position": name,
-                    "label": place.label,
-                    "method": place.method,
-                    "serial_number": place.serial_number,
+                    **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
                 }
                 for name, place in settings.positions.items()
             ],

@@ -15,7 +15,7 @@ from daq_service.catalogue.told import Purposes
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
-from daq_service.web.answers.problem import Problem
+from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf, Freshness
 
 LARGEST_PAGE = 1000
@@ -55,9 +55,7 @@ def last_hour(from_h: float | None, to_h: float | None) -> float | None:
     if to_h is None:
         return None
     if from_h is not None and to_h < from_h:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "The range is upside down",
             f"from_h is {from_h:g} and to_h is {to_h:g}.",
             "Let to_h be at least from_h; the range includes from_h and excludes to_h.",

@@ -81,9 +81,7 @@ def test_receiver(
     return JsonAnswer(
         {
             "receiver": receiver,
-            "ok": outcome.ok,
-            "status": outcome.status,
-            "told": outcome.told,
+            **{name: getattr(outcome, name) for name in ("ok", "status", "told")},
             "took_s": time.monotonic() - began_s,
         }
     )
@@ -100,17 +98,8 @@ def _receiver(context: Context, line: ReceiverLine) -> dict[str, Any]:
             "address": shown_address(own),
             "rules": [number for number, rule in rules if not rule.receivers or line.name in rule.receivers],
             "state": _word(state, now_ns),
-            "began": state.began,
-            "sent": state.sent,
-            "failed": state.failed,
-            "gave_up": state.gave_up,
-            "waiting": state.waiting,
-            "last_sent_utc_ns": sent_ns,
+            **{name: value for name, value in asdict(state).items() if "heartbeat" not in name},
             "last_sent_age_s": None if sent_ns is None else max(0.0, (now_ns - sent_ns) / NS_PER_S),
-            "last_failure_utc_ns": state.last_failure_utc_ns,
-            "last_failure": state.last_failure,
-            "failing_since_utc_ns": state.failing_since_utc_ns,
-            "next_attempt_utc_ns": state.next_attempt_utc_ns,
             "heartbeat": _heartbeat(own, state),
         },
         0,

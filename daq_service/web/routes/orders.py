@@ -17,10 +17,11 @@ from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
 from daq_service.errors import BusyError, StorageError
 from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
-from daq_service.orders.every import KINDS, AnyOrder
+from daq_service.orders.every import AnyOrder
 from daq_service.orders.kinds import (
     LARGEST_ID,
-    AnnotationArguments,
+    AcknowledgeAlarm,
+    AlarmArguments,
     Author,
     DeskOrder,
     Facts,
@@ -28,7 +29,6 @@ from daq_service.orders.kinds import (
     OrderRefusedError,
     Strict,
 )
-from daq_service.orders.suppressing import Reason, ShelfHours
 from daq_service.orders.unattended import carry_out_unattended
 from daq_service.processes.data_folder import is_owned
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
@@ -42,42 +42,11 @@ from hardware_drivers.methods import SOLITARY_WAVE
 router = APIRouter(tags=["commands"])
 
 
-AlarmId = Annotated[int, Path(ge=1, le=LARGEST_ID)]
-
-
-class Authored(Strict):
-    """Who gives an order."""
-
-    author: Author = "operator"
-
-
-class Acknowledgement(Authored):
+class Acknowledgement(Strict):
     """Body of an acknowledgement."""
 
-    note: str = Field(default="", max_length=2000)
-
-
-class Shelving(Authored):
-    """Body of a shelving."""
-
-    for_h: ShelfHours
-    reason: Reason
-
-
-class OutOfService(Authored):
-    """Body of taking an alarm out of service."""
-
-    reason: Reason
-
-
-class Annotation(AnnotationArguments):
-    """Body of an annotation."""
-
     author: Author = "operator"
-
-
-class Withdrawal(Authored):
-    """Body of a withdrawal."""
+    note: str = Field(default="", max_length=2000)
 
 
 Give = Callable[[Order], Response]
@@ -108,47 +77,12 @@ def create_command(command: AnyOrder, give: GiveOf) -> Response:
 
 
 @router.post("/alarms/{alarm_id}/acknowledge", operation_id="acknowledge_alarm", **ACCEPTS)
-def acknowledge_alarm(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
-    """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
-    return give(_order("acknowledge_alarm", body, alarm_id=alarm_id))
-
-
-@router.post("/alarms/{alarm_id}/shelve", operation_id="shelve_alarm", **ACCEPTS)
-def shelve_alarm(alarm_id: AlarmId, body: Shelving, give: GiveOf) -> Response:
-    """Be told nothing of an alarm for a while; the same as the command `shelve_alarm`."""
-    return give(_order("shelve_alarm", body, alarm_id=alarm_id))
-
-
-@router.post("/alarms/{alarm_id}/unshelve", operation_id="unshelve_alarm", **ACCEPTS)
-def unshelve_alarm(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
-    """Be told of a shelved alarm again; the same as the command `unshelve_alarm`."""
-    return give(_order("unshelve_alarm", body, alarm_id=alarm_id))
-
-
-@router.post("/alarms/{alarm_id}/out-of-service", operation_id="take_alarm_out_of_service", **ACCEPTS)
-def take_alarm_out_of_service(alarm_id: AlarmId, body: OutOfService, give: GiveOf) -> Response:
-    """Be told nothing of an alarm until it is returned; the same as the command `take_out_of_service`."""
-    return give(_order("take_out_of_service", body, alarm_id=alarm_id))
-
-
-@router.post("/alarms/{alarm_id}/return-to-service", operation_id="return_alarm_to_service", **ACCEPTS)
-def return_alarm_to_service(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
-    """Be told again of an alarm that was out of service; the same as the command `return_to_service`."""
-    return give(_order("return_to_service", body, alarm_id=alarm_id))
-
-
-@router.post("/annotations", operation_id="create_annotation", **ACCEPTS)
-def create_annotation(body: Annotation, give: GiveOf) -> Response:
-    """Note something of an hour of the test, or of a range; the same as the command `annotate`."""
-    return give(_order("annotate", body))
-
-
-@router.post("/annotations/{annotation_id}/withdraw", operation_id="withdraw_annotation", **ACCEPTS)
-def withdraw_annotation(
-    annotation_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Withdrawal, give: GiveOf
+def acknowledge_alarm(
+    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, give: GiveOf
 ) -> Response:
-    """Take an annotation back; it stays stored, with who withdrew it."""
-    return give(_order("withdraw_annotation", body, annotation_id=annotation_id))
+    """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
+    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
+    return give(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
 @router.get(
@@ -160,12 +94,6 @@ def withdraw_annotation(
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Tell what became of an order."""
     return JsonAnswer(_row(context, command_id))
-
-
-def _order(kind: str, body: Authored | Annotation, **about: int) -> Order:
-    """Make an order of what a path and a body say."""
-    arguments = about | body.model_dump(exclude={"author"})
-    return KINDS[kind].model_validate({"kind": kind, "author": body.author, "arguments": arguments})
 
 
 def _audited(context: Context, request: Request, person: Person, order: Order) -> Response:

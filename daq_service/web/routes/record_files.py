@@ -9,7 +9,7 @@ from starlette.responses import Response
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.models import problems
-from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX, FromHour, ToHour
 from daq_service.web.routes.tables import FILES, Form, accepted, alone
@@ -62,8 +62,9 @@ def get_waveforms(
     except NoRecordError as error:
         raise not_found(str(error), "/api/v1/sets lists the sets, and why one is missed.") from error
     except UsageError as error:
-        raise Problem(
-            *(422, "invalid-request", "No such export", str(error)),
+        raise invalid(
+            "No such export",
+            str(error),
             "Choose fewer sets with from_h, to_h, first_set and last_set.",
         ) from error
     return Response(content, media_type=FORMATS[name].media_type, headers=headers)

@@ -10,7 +10,7 @@ from starlette.responses import Response
 from daq_service.errors import UsageError
 from daq_service.processes.worker import one_worker
 from daq_service.web.answers.models import problems
-from daq_service.web.answers.problem import Problem
+from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.context import ContextOf
 from daq_service.web.report.make import report_page
 from daq_service.web.routes.admission import PersonOf
@@ -53,9 +53,7 @@ def get_report(
                 report_page, context.data_folder, from_h=from_h, to_h=to_h, audited=audited
             ).result()
     except UsageError as error:
-        raise Problem(
-            422, "invalid-request", "No such report", str(error), "Choose other hours with from_h and to_h."
-        ) from error
+        raise invalid("No such report", str(error), "Choose other hours with from_h and to_h.") from error
     finally:
         _making.release()
     headers = {

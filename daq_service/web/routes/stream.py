@@ -18,7 +18,7 @@ from fastapi import APIRouter, Header, Query
 from starlette.responses import StreamingResponse
 
 from daq_service.web.answers.models import problems
-from daq_service.web.answers.problem import Problem
+from daq_service.web.answers.problem import Problem, invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
 from daq_service.web.streams.hub import EventHub
@@ -86,9 +86,7 @@ def _topics(text: str | None) -> frozenset[str] | None:
     chosen = frozenset(part.strip() for part in text.split(",") if part.strip())
     unknown = sorted(chosen - set(TOPICS))
     if unknown or not chosen:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "Unknown topic",
             f"topics is {text!r}; unknown: {', '.join(unknown) or '(none given)'}.",
             f"Choose from {', '.join(TOPICS)}.",
@@ -98,9 +96,7 @@ def _topics(text: str | None) -> frozenset[str] | None:
 
 def _event_id(text: str) -> int:
     if not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "Not an event id",
             f"Last-Event-ID is {text[:40]!r}; event ids are non-negative integers.",
             "Leave the header out to begin with the next event.",

@@ -13,7 +13,7 @@ from starlette.responses import Response, StreamingResponse
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import TableList, problems
-from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import FromHour, PositionFilter, PurposeFilter, ToHour, last_hour
 from daq_service.web.tables.choice import TABLES, chosen
@@ -86,9 +86,7 @@ def get_table(
             )
         first = next(parts, b"")  # what is wrong shows before the answer begins
     except UsageError as error:
-        raise Problem(
-            422, "invalid-request", "No such export", str(error), "/api/v1/tables lists tables and formats."
-        ) from error
+        raise invalid("No such export", str(error), "/api/v1/tables lists tables and formats.") from error
     return StreamingResponse(
         itertools.chain([first], parts), media_type=FORMATS[name].media_type, headers=headers
     )

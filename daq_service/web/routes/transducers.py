@@ -55,9 +55,7 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {
         "position": name,
-        "label": place.label,
-        "method": place.method,
-        "serial_number": place.serial_number,
+        **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
         "state": state_word(last),
         "stale": is_stale(context.settings.schedule, fresh, age_h),
         "data_h": data_h,

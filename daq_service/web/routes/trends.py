@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
 from daq_service.web.answers.models import TREND_FIELDS, TREND_VERDICTS, Trend, problems
-from daq_service.web.answers.problem import Problem
+from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 
@@ -61,9 +61,7 @@ def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> 
     chosen = list(dict.fromkeys(part.strip() for part in fields.split(",") if part.strip()))
     unknown = sorted(set(chosen) - set(known))
     if unknown or not chosen:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "Unknown field",
             f"{', '.join(unknown) or '(no field)'} is not measured by the method {method}.",
             f"Choose from {', '.join(known)}.",

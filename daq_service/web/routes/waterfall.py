@@ -23,7 +23,7 @@ from daq_service.judgement.life import planned
 from daq_service.judgement.results import results_in
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Waterfall, problems
-from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
@@ -188,25 +188,19 @@ def _check(method: str, align: str, from_s: float | None, to_s: float | None, js
         422.
     """
     if align not in ("trigger", FIRST_OF[method]):
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "The records have no such mark",
             f"align is {align}, and the position's method is {method}.",
             f"Choose trigger or {FIRST_OF[method]}.",
         )
     if from_s is not None and to_s is not None and to_s <= from_s:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "The range is upside down",
             f"from_s is {from_s:g} and to_s is {to_s:g}.",
             "Let to_s be greater than from_s.",
         )
     if json_cells > MOST_JSON_CELLS:
-        raise Problem(
-            422,
-            "invalid-request",
+        raise invalid(
             "Too much for JSON",
             f"rows times columns is {json_cells}; JSON takes at most {MOST_JSON_CELLS}.",
             "Ask for fewer rows or columns, or leave format out.",

@@ -23,18 +23,8 @@ from simulator.doubles.daqmx.analog_input import (
 )
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
-from simulator.doubles.vendor_api.statuses import (
-    ATTRIBUTE_NOT_IN_THIS_TASK,
-    INVALID_VALUE,
-    MINIMUM_NOT_BELOW_MAXIMUM,
-    NO_CHANNELS,
-    NOT_AN_INPUT_TASK,
-    READ_BUFFER_TOO_SMALL,
-    READ_TYPE_TOO_SMALL,
-    SAMPLES_NOT_YET_AVAILABLE,
-    SAMPLES_WILL_NEVER_BE_AVAILABLE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
@@ -42,16 +32,14 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
     if not minimum_v < maximum_v:
-        raise Status(MINIMUM_NOT_BELOW_MAXIMUM, f"AI.Min: {minimum_v}, AI.Max: {maximum_v}", task=task.name)
+        raise Status(
+            statuses.MINIMUM_NOT_BELOW_MAXIMUM, f"AI.Min: {minimum_v}, AI.Max: {maximum_v}", task=task.name
+        )
     device, number = bench.devices.channel(arguments["physical_channel"], "ai")
     configuration = arguments["terminal_config"]
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
-        raise Status(
-            INVALID_VALUE,
-            f"Property: AI.TermCfg\nRequested Value: {configuration}\n"
-            f"You Can Select: {device.kind.terminal_configuration}",
-            task=task.name,
-        )
+        detail = f"You Can Select: {device.kind.terminal_configuration}"
+        raise statuses.unfit(task.name, "AI.TermCfg", detail, requested=configuration)
     task.take_channel(
         "ai",
         InputChannel(
@@ -68,7 +56,9 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
     """Note settings of an input task."""
     if task.kind != "ai":
-        raise Status(NO_CHANNELS if not task.kind else ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name)
+        raise Status(
+            statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
+        )
     tasks.changed(task)
     task.settings |= settings
 
@@ -76,12 +66,8 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
-        raise Status(
-            INVALID_VALUE,
-            f"Property: SampClk.Src\nRequested Value: {arguments['source']}\n"
-            "The double samples by the board's own clock only.",
-            task=task.name,
-        )
+        detail = "The double samples by the board's own clock only."
+        raise statuses.unfit(task.name, "SampClk.Src", detail, requested=arguments["source"])
     _change(
         task,
         {
@@ -122,15 +108,15 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
     refusal = None
     if wanted > left:
         refusal = (
-            SAMPLES_WILL_NEVER_BE_AVAILABLE,
+            statuses.SAMPLES_WILL_NEVER_BE_AVAILABLE,
             f"Samples: {wanted}, left of this record: {left}.",
         )
     elif wanted > room:
-        refusal = READ_BUFFER_TOO_SMALL, f"Samples: {wanted}, room for {room}."
+        refusal = statuses.READ_BUFFER_TOO_SMALL, f"Samples: {wanted}, room for {room}."
     if refusal is not None:
         raise Status(*refusal, task=task.name, values={"samps_per_chan_read": 0})
     late = Status(
-        SAMPLES_NOT_YET_AVAILABLE,
+        statuses.SAMPLES_NOT_YET_AVAILABLE,
         f"Timeout: {timeout_s} s",
         task=task.name,
         values={"samps_per_chan_read": 0},
@@ -147,11 +133,11 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxReadBinary..`: raw codes in the width asked for."""
     if task.kind != "ai":
-        raise Status(NOT_AN_INPUT_TASK, task=task.name)
+        raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)
     bits, raw_bits = np.dtype(dtype).itemsize * 8, task.device.kind.raw_sample_bits
     if raw_bits > bits:
         raise Status(
-            READ_TYPE_TOO_SMALL,
+            statuses.READ_TYPE_TOO_SMALL,
             f"Raw samples of {raw_bits} bits, type of {bits}.",
             task=task.name,
             values={"samps_per_chan_read": 0},

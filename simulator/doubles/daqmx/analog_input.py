@@ -15,15 +15,8 @@ from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import FALLING, fire, require_start_route, short_name, waits_for
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
-from simulator.doubles.vendor_api.statuses import (
-    INVALID_TRIGGER_SOURCE,
-    INVALID_VALUE,
-    SOFTWARE_FAULT,
-    START_DELAY_TOO_LONG,
-    START_DELAY_TOO_SHORT,
-    TOO_MANY_PRETRIGGER_SAMPLES,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 from simulator.electronics.sampling_kernel import rising_edge
 from simulator.electronics.transduction import EARLY_TRIGGER_S, counts_of
 from simulator.errors import SimulatorError
@@ -74,7 +67,7 @@ class InputChannel:
         if found is None:
             limit_v = self.device.kind.ranges_v[-1]
             raise Status(
-                INVALID_VALUE,
+                statuses.INVALID_VALUE,
                 f"Property: AI.Max, AI.Min\nRequested Value: {reach_v}\nMaximum Value: {limit_v}",
             )
         return found
@@ -122,11 +115,8 @@ class AnalogInput:
         _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
-            raise Status(
-                INVALID_VALUE,
-                "Property: SampTimingType\nThe double samples with a sample clock only.",
-                task=task.name,
-            )
+            detail = "The double samples with a sample clock only."
+            raise statuses.unfit(task.name, "SampTimingType", detail)
         _verify_record(task)
         _verify_start(bench, task)
 
@@ -195,11 +185,7 @@ def rate_hz(task: Task) -> float:
     limit_hz = kind.max_rate_hz
     # The timebase divided by a whole number may exceed the limit by a rounding error.
     if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
-        raise Status(
-            INVALID_VALUE,
-            f"Property: SampClk.Rate\nRequested Value: {asked_hz}\nMaximum Value: {limit_hz}",
-            task=task.name,
-        )
+        raise statuses.unfit(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
     coerced_hz = kind.coerced_rate_hz(asked_hz)
     return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
 
@@ -226,57 +212,39 @@ def _verify_start(bench: Bench, task: Task) -> None:
     if "StartTrig.Delay" not in task.settings:
         return
     if task.settings.get("StartTrig.DelayUnits") != SECONDS:
-        raise Status(
-            INVALID_VALUE,
-            "Property: StartTrig.DelayUnits\nThe double takes a delay in seconds only.",
-            task=task.name,
-        )
+        raise statuses.unfit(task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only.")
     shortest, longest = task.device.kind.start_delay_ticks
     ticks = start_delay_s(task) * task.device.kind.timebase_hz
     if not shortest <= ticks <= longest:
-        code = START_DELAY_TOO_SHORT if ticks < shortest else START_DELAY_TOO_LONG
-        detail = f"Property: StartTrig.Delay\nRequested Value: {ticks} ticks of {shortest} to {longest}"
-        raise Status(code, detail, task=task.name)
+        code = statuses.START_DELAY_TOO_SHORT if ticks < shortest else statuses.START_DELAY_TOO_LONG
+        requested = f"{ticks} ticks of {shortest} to {longest}"
+        raise statuses.unfit(task.name, "StartTrig.Delay", code=code, requested=requested)
 
 
 def _verify_record(task: Task) -> None:
     """Finite, and with room for the pre-trigger; the trigger on a channel of the task."""
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
-        raise Status(
-            INVALID_VALUE,
-            "Property: SampQuant.SampMode\nThe double samples finite records only.",
-            task=task.name,
-        )
-    if record_samples(task) < SMALLEST_RECORD:
-        raise Status(
-            INVALID_VALUE,
-            f"Property: SampQuant.SampPerChan\nRequested Value: {record_samples(task)}\n"
-            f"Minimum Value: {SMALLEST_RECORD}",
-            task=task.name,
-        )
+        raise statuses.unfit(task.name, "SampQuant.SampMode", "The double samples finite records only.")
+    samples = record_samples(task)
+    if samples < SMALLEST_RECORD:
+        name = "SampQuant.SampPerChan"
+        raise statuses.unfit(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
     if not _has_reference_trigger(task):
         return
     pretrigger = int(settings["RefTrig.PretrigSamples"])
-    if not 2 <= pretrigger <= record_samples(task) - 2:
-        raise Status(
-            TOO_MANY_PRETRIGGER_SAMPLES,
-            f"Property: RefTrig.PretrigSamples\nRequested Value: {pretrigger}\n"
-            f"Minimum Value: 2\nMaximum Value: {record_samples(task) - 2}",
-            task=task.name,
-        )
+    if not 2 <= pretrigger <= samples - 2:
+        name, code = "RefTrig.PretrigSamples", statuses.TOO_MANY_PRETRIGGER_SAMPLES
+        most = samples - 2
+        raise statuses.unfit(task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most)
     channel: InputChannel = task.channel
     source = str(settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
     if source not in (channel.name.casefold(), channel.physical_name.casefold()):
-        raise Status(INVALID_TRIGGER_SOURCE, f"Requested Value: {source}", task=task.name)
+        raise Status(statuses.INVALID_TRIGGER_SOURCE, f"Requested Value: {source}", task=task.name)
     level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
     if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
-        raise Status(
-            INVALID_VALUE,
-            f"Property: AnlgEdge.RefTrig.Lvl\nRequested Value: {level_v}\n"
-            f"Maximum Value: {channel.range_v}\nThe double triggers on a rising edge above 0 V.",
-            task=task.name,
-        )
+        name, detail = "AnlgEdge.RefTrig.Lvl", "The double triggers on a rising edge above 0 V."
+        raise statuses.unfit(task.name, name, detail, requested=level_v, maximum=channel.range_v)
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
@@ -327,7 +295,9 @@ def _first_wave(
         try:
             acquired = bench.strikes.record(strike, adc, task.channel.calibration)
         except (SimulatorError, ValueError) as error:
-            raise Status(SOFTWARE_FAULT, f"The twin cannot compute this: {error}", task=task.name) from error
+            raise Status(
+                statuses.SOFTWARE_FAULT, f"The twin cannot compute this: {error}", task=task.name
+            ) from error
         trigger_ns = strike.contact_ns
         if acquired is not None:
             trigger_ns += round(acquired.truth["trigger_time_s"] * NS_PER_S)

@@ -6,14 +6,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import TypeVar
 
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Task, TaskState
+from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES, Attribute
-from simulator.doubles.vendor_api.statuses import (
-    ATTRIBUTE_NOT_SETTABLE,
-    ATTRIBUTE_NOT_SUPPORTED,
-    NO_SUCH_ATTRIBUTE,
-    PROPERTY_WHILE_RUNNING,
-    Status,
-)
+from simulator.doubles.vendor_api.statuses import Status
 
 Subject = TypeVar("Subject")
 
@@ -22,7 +17,9 @@ def _attribute_of(arguments: Arguments, family: str) -> Attribute:
     """Attribute a call names; Status if the double answers none such."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
-        raise Status(NO_SUCH_ATTRIBUTE, f"The double has no {family} attribute {arguments['attribute']:#x}.")
+        raise Status(
+            statuses.NO_SUCH_ATTRIBUTE, f"The double has no {family} attribute {arguments['attribute']:#x}."
+        )
     return found
 
 
@@ -32,7 +29,7 @@ def look_up(
     """Answer with a value; Status if this kind of subject has none."""
     name = _attribute_of(arguments, family).name
     if name not in values:
-        raise Status(ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
+        raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
     return {"value": values[name](subject)}
 
 
@@ -45,7 +42,7 @@ def settable(task: Task, arguments: Arguments, family: str) -> str:
     """Name of the attribute that a call may set now."""
     attribute = _attribute_of(arguments, family)
     if not attribute.settable:
-        raise Status(ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)
+        raise Status(statuses.ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)
     if task.state is TaskState.RUNNING:
-        raise Status(PROPERTY_WHILE_RUNNING, f"Property: {attribute.name}", task=task.name)
+        raise Status(statuses.PROPERTY_WHILE_RUNNING, f"Property: {attribute.name}", task=task.name)
     return attribute.name

@@ -13,12 +13,8 @@ from simulator.doubles.daqmx.counter_output import LOW, TIMEBASE_HZ, PulseChanne
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import (
-    ATTRIBUTE_NOT_IN_THIS_TASK,
-    CHANNEL_NOT_IN_TASK,
-    INVALID_VALUE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 DC_COUPLING = 10050
 ANALOG_INPUT, COUNTER_OUTPUT = 10100, 10132
@@ -45,10 +41,10 @@ def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
     """Channel by name; no name means the one there is."""
     channel = task.channel
     if not isinstance(channel, InputChannel | PulseChannel):
-        raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channel.", task=task.name)
+        raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channel.", task=task.name)
     known = ("", channel.name.casefold(), channel.physical_name.casefold())
     if name.strip().strip("/").casefold() not in known:
-        raise Status(CHANNEL_NOT_IN_TASK, f"Channel Name: {name}", task=task.name)
+        raise Status(statuses.CHANNEL_NOT_IN_TASK, f"Channel Name: {name}", task=task.name)
     return channel
 
 
@@ -71,7 +67,7 @@ def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     name, value = settable(task, arguments, "Chan"), arguments["value"]
     channel = _named_channel(task, arguments["channel"])
     if (name == "AI.Coupling") != isinstance(channel, InputChannel):
-        raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, f"Property: {name}", task=task.name)
+        raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, f"Property: {name}", task=task.name)
     if isinstance(channel, PulseChannel):
         terminal = _terminal(channel.device, value)
         taken = bool(terminal)
@@ -79,7 +75,7 @@ def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     else:
         taken = value == DC_COUPLING
     if not taken:
-        raise Status(INVALID_VALUE, f"Property: {name}\nRequested Value: {value}", task=task.name)
+        raise Status(statuses.INVALID_VALUE, f"Property: {name}\nRequested Value: {value}", task=task.name)
     tasks.changed(task)
 
 

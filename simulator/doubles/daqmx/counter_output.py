@@ -14,7 +14,7 @@ from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import FALLING, RISING, fire, waits_for
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import INVALID_VALUE, WATCHDOG_EXPIRED, Status
+from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, unfit
 
 LOW = 10214
 HIGH = 10192
@@ -74,12 +74,7 @@ class CounterOutput:
             ("CO.Pulse.HighTime", task.channel.high_s, 2.0 / TIMEBASE_HZ),
         ):
             if not shortest_s <= time_s <= longest_s:
-                raise Status(
-                    INVALID_VALUE,
-                    f"Property: {name}\nRequested Value: {time_s}\nMinimum Value: {shortest_s}\n"
-                    f"Maximum Value: {longest_s}",
-                    task=task.name,
-                )
+                raise unfit(task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """Reserve the counter, and the pin it drives."""
@@ -167,12 +162,8 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:
-        raise Status(
-            INVALID_VALUE,
-            f"Property: CO.Pulse.IdleState\nRequested Value: {arguments['idle_state']}\n"
-            "The double's pins are low between pulses.",
-            task=task.name,
-        )
+        detail = "The double's pins are low between pulses."
+        raise unfit(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
     task.take_channel(
         "co",
         PulseChannel(

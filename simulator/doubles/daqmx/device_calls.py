@@ -10,16 +10,8 @@ from simulator.doubles.chassis.boards import terminal_of_line
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler
-from simulator.doubles.vendor_api.statuses import (
-    DEVICE_ABORTED,
-    DEVICE_ABSENT,
-    DEVICE_NOT_ACCESSIBLE,
-    DEVICE_REMOVED,
-    INVALID_VALUE,
-    NO_SUCH_PHYSICAL_CHANNEL,
-    RESERVED_BY_OTHER_PROCESS,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 from simulator.doubles.vendor_api.wire import names_of
 
 POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
@@ -30,9 +22,9 @@ def _present(bench: Bench, name: str) -> Device:
     try:
         return bench.devices.find(name)
     except Status as status:
-        if status.code != DEVICE_NOT_ACCESSIBLE:
+        if status.code != statuses.DEVICE_NOT_ACCESSIBLE:
             raise
-        raise Status(DEVICE_ABSENT, f"Device Specified: {name}") from status
+        raise Status(statuses.DEVICE_ABSENT, f"Device Specified: {name}") from status
 
 
 def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
@@ -50,7 +42,7 @@ def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
 def reset(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxResetDevice`: whoever used the board loses it, its lines go low, its routes are gone."""
     device = _present(bench, arguments["device_name"])
-    _taken_away(bench, device, DEVICE_ABORTED, "reset")
+    _taken_away(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
 
@@ -60,7 +52,7 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
     device = _present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
-            RESERVED_BY_OTHER_PROCESS,
+            statuses.RESERVED_BY_OTHER_PROCESS,
             f"Device: {device.name} is reserved by task {holder.task} of {holder.client}.",
         )
     device.self_calibrate(datetime.now(UTC))
@@ -70,7 +62,7 @@ def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> An
     """`DAQmxGetSelfCalLastDateAndTime`; of a simulated device as NI's driver answers."""
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
-        raise Status(INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
+        raise Status(statuses.INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
     when = device.calibrated
     return {part: getattr(when, part) for part in ("year", "month", "day", "hour", "minute")}
 
@@ -80,7 +72,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
     found = []
     for name in names_of(names):
         if name.strip().lstrip("/").casefold() not in known:
-            raise Status(NO_SUCH_PHYSICAL_CHANNEL, f"Physical Channel: {name}")
+            raise Status(statuses.NO_SUCH_PHYSICAL_CHANNEL, f"Physical Channel: {name}")
         found.append(known[name.strip().lstrip("/").casefold()])
     return found
 
@@ -92,7 +84,7 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
     states = [int(state) for state in arguments["state"]]
     for state in states:
         if state not in (POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE):
-            raise Status(INVALID_VALUE, f"Power-up state {state}.")
+            raise Status(statuses.INVALID_VALUE, f"Power-up state {state}.")
     device.power_up_states |= dict(zip(lines, states, strict=True))
 
 
@@ -105,7 +97,7 @@ def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
 
 def unplug(bench: Bench, serial_number: int) -> None:
     """Take a board out: its tasks are lost, its lines go low."""
-    _taken_away(bench, bench.devices.by_serial(serial_number), DEVICE_REMOVED, "unplug")
+    _taken_away(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 

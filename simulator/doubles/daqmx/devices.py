@@ -9,12 +9,8 @@ from datetime import datetime
 from hardware_drivers.measurement import Calibration
 from simulator.doubles.chassis.boards import BoardType, board_calibration
 from simulator.doubles.chassis.description import BoardParameters
-from simulator.doubles.vendor_api.statuses import (
-    DEVICE_NOT_ACCESSIBLE,
-    NO_SUCH_PHYSICAL_CHANNEL,
-    UNKNOWN_DEVICE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 from simulator.parameters.electronics import AdcParameters
 
 _LINES = re.compile(
@@ -92,7 +88,7 @@ class Devices:
             if device.name.casefold() == wanted and device.plugged:
                 return device
         known = {device.name.casefold() for device in self} | self._former_names
-        code = DEVICE_NOT_ACCESSIBLE if wanted in known else UNKNOWN_DEVICE
+        code = statuses.DEVICE_NOT_ACCESSIBLE if wanted in known else statuses.UNKNOWN_DEVICE
         raise Status(code, f"Device Specified: {name}")
 
     def unplug(self, serial_number: int) -> None:
@@ -120,7 +116,7 @@ class Devices:
         number = end.casefold().removeprefix(part)
         if not end.casefold().startswith(part) or not number.isdecimal() or int(number) >= limit:
             raise Status(
-                NO_SUCH_PHYSICAL_CHANNEL,
+                statuses.NO_SUCH_PHYSICAL_CHANNEL,
                 f"Physical Channel: {text}; {device.name} ({device.kind.product}) has {part}0 to "
                 f"{part}{limit - 1}, and a task of the double takes one.",
             )
@@ -145,7 +141,7 @@ class Devices:
             if not named or not set(named) <= set(device.kind.digital_lines):
                 lines = device.kind.digital_lines
                 raise Status(
-                    NO_SUCH_PHYSICAL_CHANNEL,
+                    statuses.NO_SUCH_PHYSICAL_CHANNEL,
                     f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
                     f"{lines[0]} to {lines[-1]}.",
                 )

@@ -19,16 +19,8 @@ from simulator.doubles.daqmx.devices import Device, Devices
 from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Holder, Reservations
 from simulator.doubles.daqmx.strikes import Strikes
-from simulator.doubles.vendor_api.statuses import (
-    DEVICE_REMOVED,
-    DUPLICATE_TASK,
-    INVALID_TASK,
-    INVALID_VALUE,
-    NO_CHANNELS,
-    RUNNING,
-    STOPPED_BEFORE_DONE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import RUNNING, Status
 
 
 class TaskState(IntEnum):
@@ -132,7 +124,7 @@ class Task:
         self.require_not_running()
         if self.channel is not None:
             raise Status(
-                INVALID_VALUE,
+                statuses.INVALID_VALUE,
                 f"The task has the channel {self.channel.name}; a task of the double has one.",
                 task=self.name,
             )
@@ -220,7 +212,7 @@ def create(bench: Bench, client: str, name: str) -> Task:
     """Make a task; a name is unique within its client."""
     taken = {task.name for task in bench.tasks.values() if task.client == client}
     if name in taken:
-        raise Status(DUPLICATE_TASK, task=name)
+        raise Status(statuses.DUPLICATE_TASK, task=name)
     number = bench.next_handle
     bench.next_handle += 1
     task = Task(handle=number, name=name or f"_unnamedTask<{number - 0x10001:X}>", client=client)
@@ -238,7 +230,7 @@ def find(bench: Bench, client: str, handle: int) -> Task:
     """
     task = bench.tasks.get(handle)
     if task is None or task.client != client:
-        raise Status(INVALID_TASK, f"Task handle: {handle:#x}")
+        raise Status(statuses.INVALID_TASK, f"Task handle: {handle:#x}")
     if task.lost:
         raise_lost(task)
     return task
@@ -264,7 +256,7 @@ def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
 def advance(bench: Bench, task: Task, target: TaskState) -> None:
     """Take a task up to a state below running."""
     if task.channel is None:
-        raise Status(NO_CHANNELS, task=task.name)
+        raise Status(statuses.NO_CHANNELS, task=task.name)
     kind = bench.kinds[task.kind]
     if target >= TaskState.VERIFIED and not task.verified:
         kind.verify(bench, task)
@@ -329,7 +321,7 @@ def stop(bench: Bench, task: Task) -> None:
         done = False
     _halt(bench, task)
     if not done and task.kind != "watchdog":
-        raise Status(STOPPED_BEFORE_DONE, task=task.name)
+        raise Status(statuses.STOPPED_BEFORE_DONE, task=task.name)
 
 
 def _halt(bench: Bench, task: Task) -> None:
@@ -364,7 +356,7 @@ def control(bench: Bench, task: Task, action: int) -> None:
                 _halt(bench, task)
             _unreserve(bench, task)
         case _:
-            raise Status(INVALID_VALUE, f"Task action {action}.", task=task.name)
+            raise Status(statuses.INVALID_VALUE, f"Task action {action}.", task=task.name)
 
 
 def _unreserve(bench: Bench, task: Task) -> None:
@@ -403,4 +395,4 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         if task.lost:
             raise_lost(task)
         if task.handle not in bench.tasks or task.begun != begun:
-            raise Status(DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)
+            raise Status(statuses.DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)

@@ -16,16 +16,8 @@ from simulator.doubles.daqmx.counter_output import HIGH, LOW, cut
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler, TaskState
-from simulator.doubles.vendor_api.statuses import (
-    DEVICE_NOT_IN_TASK,
-    EXPIRED_WATCHDOG_NEEDS_CLEARING,
-    INVALID_VALUE,
-    NOT_A_WATCHDOG_TASK,
-    NOT_RUNNING,
-    WATCHDOG_NOT_SUPPORTED,
-    WATCHDOG_TIMEOUT_OUT_OF_RANGE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 RESET_TIMER = 0
 CLEAR_EXPIRATION = 1
@@ -110,14 +102,12 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """`DAQmxCreateWatchdogTimerTaskEx`."""
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
-        raise Status(WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
+        raise Status(statuses.WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
     timeout_s = arguments["timeout"]
     if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
-        raise Status(
-            WATCHDOG_TIMEOUT_OUT_OF_RANGE,
-            f"Property: Watchdog.Timeout\nRequested Value: {timeout_s}\nMaximum Value: {LONGEST_TIMEOUT_S}",
-            task=arguments["session_name"],
-        )
+        session, name = arguments["session_name"], "Watchdog.Timeout"
+        code = statuses.WATCHDOG_TIMEOUT_OUT_OF_RANGE
+        raise statuses.unfit(session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S)
     task = tasks.create(bench, client, arguments["session_name"])
     task.take_channel("watchdog", WatchedBoard(name=device.name, device=device))
     task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
@@ -126,7 +116,7 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
 def _require_watchdog(task: Task) -> None:
     if task.kind != "watchdog":
-        raise Status(NOT_A_WATCHDOG_TASK, task=task.name)
+        raise Status(statuses.NOT_A_WATCHDOG_TASK, task=task.name)
 
 
 def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
@@ -136,17 +126,14 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
     lines = bench.devices.lines(arguments["channel_names"])
     states = [int(state) for state in arguments["expir_state_array"]]
     if len(states) != len(lines):
-        raise Status(INVALID_VALUE, f"{len(states)} states for {len(lines)} lines.", task=task.name)
+        raise Status(statuses.INVALID_VALUE, f"{len(states)} states for {len(lines)} lines.", task=task.name)
     wanted = dict(zip(lines, states, strict=True))
     for (device, _), state in wanted.items():
         if device is not task.device:
-            raise Status(DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
+            raise Status(statuses.DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
         if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
-            raise Status(
-                INVALID_VALUE,
-                f"Property: Watchdog.DO.ExpirState\nRequested Value: {state} on {device.name}",
-                task=task.name,
-            )
+            name, requested = "Watchdog.DO.ExpirState", f"{state} on {device.name}"
+            raise statuses.unfit(task.name, name, requested=requested)
     task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
 
 
@@ -156,17 +143,17 @@ def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
     now_ns = bench.settle()
     run: Countdown | None = task.run
     if run is None:
-        raise Status(NOT_RUNNING, task=task.name)
+        raise Status(statuses.NOT_RUNNING, task=task.name)
     action = arguments["action"]
     if action == RESET_TIMER:
         if run.expired_ns is not None:
-            raise Status(EXPIRED_WATCHDOG_NEEDS_CLEARING, task=task.name)
+            raise Status(statuses.EXPIRED_WATCHDOG_NEEDS_CLEARING, task=task.name)
         run.begin_ns = now_ns
     elif action == CLEAR_EXPIRATION:
         run.expired_ns = None
         run.begin_ns = now_ns if task.state is TaskState.RUNNING else None
     else:
-        raise Status(INVALID_VALUE, f"Watchdog action {action}.", task=task.name)
+        raise Status(statuses.INVALID_VALUE, f"Watchdog action {action}.", task=task.name)
 
 
 HANDLERS: Mapping[str, Handler] = MappingProxyType({"DAQmxCreateWatchdogTimerTaskEx": create_watchdog})

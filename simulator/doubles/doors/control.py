@@ -73,18 +73,9 @@ class DoublesControl:
         """Let the coil at a position couple this into its sensor from now on."""
         self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
 
-    def inject(
-        self,
-        function: str,
-        kind: str,
-        *,
-        code: int | None = None,
-        nth: int = 1,
-        times: int = 1,
-        seconds: float | None = None,
-    ) -> None:
+    def inject(self, function: str, kind: str, **how: float | None) -> None:
         """Order a fault (`faults.Faults.inject`); kind is error, hang, lie or death."""
-        self._ask("inject", function=function, kind=kind, code=code, nth=nth, times=times, seconds=seconds)
+        self._ask("inject", function=function, kind=kind, **how)
 
     def clear_faults(self) -> None:
         """Forget every fault not yet carried out."""

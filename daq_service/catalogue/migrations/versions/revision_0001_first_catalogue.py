@@ -10,8 +10,6 @@ from alembic import op
 
 revision = "0001"
 down_revision = None
-branch_labels = None
-depends_on = None
 
 _FEATURES = (
     "tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s",
@@ -205,12 +203,3 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("id", name=op.f("pk_verdicts")),
         sa.UniqueConstraint("position", "set_index", name="uq_verdicts_position_set_index"),
     )
-
-
-def downgrade() -> None:
-    # A table's indices go with it.
-    for table in (
-        "verdicts", "thickness", "features", "shots", "sets", "experiment", "events", "commands", "baselines",
-        "alarms",
-    ):  # fmt: skip
-        op.drop_table(table)

@@ -10,8 +10,6 @@ from alembic import op
 
 revision = "0002"
 down_revision = "0001"
-branch_labels = None
-depends_on = None
 
 _MEASURED = (
     "voltage_v", "voltage_min_v", "voltage_max_v", "current_a", "current_min_a", "current_max_a",
@@ -40,10 +38,3 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("id", name=op.f("pk_environment")),
         sa.UniqueConstraint("set_index", name=op.f("uq_environment_set_index")),
     )
-
-
-def downgrade() -> None:
-    op.drop_table("environment")
-    op.drop_column("shots", "outcome")
-    op.drop_column("sets", "n_restrikes")
-    op.drop_column("sets", "n_missed")

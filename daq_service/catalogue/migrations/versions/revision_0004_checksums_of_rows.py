@@ -10,8 +10,6 @@ from alembic import op
 
 revision = "0004"
 down_revision = "0003"
-branch_labels = None
-depends_on = None
 
 _TABLES = (
     "experiment", "sets", "shots", "features", "thickness", "environment", "baselines", "verdicts", "alarms",
@@ -23,9 +21,3 @@ def upgrade() -> None:
     op.add_column("sets", sa.Column("file_sha256", sa.String(), nullable=True))
     for name in _TABLES:
         op.add_column(name, sa.Column("row_crc32", sa.BigInteger(), nullable=True))
-
-
-def downgrade() -> None:
-    for name in _TABLES:
-        op.drop_column(name, "row_crc32")
-    op.drop_column("sets", "file_sha256")

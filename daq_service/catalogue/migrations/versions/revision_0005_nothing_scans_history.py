@@ -7,8 +7,6 @@ from alembic import op
 
 revision = "0005"
 down_revision = "0004"
-branch_labels = None
-depends_on = None
 
 _INDICES = (
     ("sets", "set_index"),
@@ -60,11 +58,3 @@ def upgrade() -> None:
             NULL
         """
     )
-
-
-def downgrade() -> None:
-    op.drop_table("counts")
-    for topic in _TOPICS:
-        op.drop_index(f"ix_events_{topic}", "events")
-    for table, *columns in _INDICES:
-        op.drop_index(f"ix_{table}_{'_'.join(columns)}", table)

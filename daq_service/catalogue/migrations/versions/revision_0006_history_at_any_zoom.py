@@ -10,8 +10,6 @@ from alembic import op
 
 revision = "0006"
 down_revision = "0005"
-branch_labels = None
-depends_on = None
 
 
 def upgrade() -> None:
@@ -23,8 +21,3 @@ def upgrade() -> None:
         sa.Column("row_crc32", sa.BigInteger(), nullable=True),
         sa.PrimaryKeyConstraint("place", name=op.f("pk_trend_blocks")),
     )
-
-
-def downgrade() -> None:
-    op.drop_table("trend_blocks")
-    op.drop_index("ix_alarms_position_raised_set_index", "alarms")

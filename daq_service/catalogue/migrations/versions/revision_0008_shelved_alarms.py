@@ -7,8 +7,6 @@ from alembic import op
 
 revision = "0008"
 down_revision = "0007"
-branch_labels = None
-depends_on = None
 
 TEXTS = ("suppressed", "suppressed_by", "suppressed_because")
 TIMES = ("shelved_until_utc_ns", "shelved_until_wall_utc_ns")
@@ -19,8 +17,3 @@ def upgrade() -> None:
         op.add_column("alarms", sa.Column(name, sa.String(), nullable=True))
     for name in TIMES:
         op.add_column("alarms", sa.Column(name, sa.BigInteger(), nullable=True))
-
-
-def downgrade() -> None:
-    for name in (*TIMES, *TEXTS):
-        op.drop_column("alarms", name)

@@ -7,8 +7,6 @@ from alembic import op
 
 revision = "0009"
 down_revision = "0008"
-branch_labels = None
-depends_on = None
 
 NESTED = (
     *(("baselines", name) for name in ("limits", "readiness")),
@@ -21,8 +19,3 @@ def upgrade() -> None:
         op.add_column(table, sa.Column(name, sa.JSON(none_as_null=True), nullable=True))
     op.add_column("verdicts", sa.Column("chart", sa.Float(), nullable=True))
     op.add_column("verdicts", sa.Column("chart_alarm", sa.Boolean(), nullable=True))
-
-
-def downgrade() -> None:
-    for table, name in (("verdicts", "chart_alarm"), ("verdicts", "chart"), *reversed(NESTED)):
-        op.drop_column(table, name)

@@ -7,16 +7,9 @@ from alembic import op
 
 revision = "0010"
 down_revision = "0009"
-branch_labels = None
-depends_on = None
 
 
 def upgrade() -> None:
     op.add_column("verdicts", sa.Column("cause", sa.String(), nullable=True))
     op.add_column("verdicts", sa.Column("cause_probability", sa.Float(), nullable=True))
     op.add_column("verdicts", sa.Column("cause_told", sa.JSON(none_as_null=True), nullable=True))
-
-
-def downgrade() -> None:
-    for name in ("cause_told", "cause_probability", "cause"):
-        op.drop_column("verdicts", name)

@@ -12,8 +12,6 @@ from alembic import op
 
 revision = "0012"
 down_revision = "0010"
-branch_labels = None
-depends_on = None
 
 ADDED: dict[str, sa.types.TypeEngine[Any]] = {
     "approved_utc_ns": sa.BigInteger(),
@@ -28,9 +26,3 @@ def upgrade() -> None:
     for name, of_type in ADDED.items():
         op.add_column("baselines", sa.Column(name, of_type, nullable=True))
     op.execute("UPDATE baselines SET approved_utc_ns = created_utc_ns, row_crc32 = NULL")
-
-
-def downgrade() -> None:
-    for name in ("state", *ADDED):
-        op.drop_column("baselines", name)
-    op.execute("UPDATE baselines SET row_crc32 = NULL")

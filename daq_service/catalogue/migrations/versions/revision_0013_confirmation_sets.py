@@ -7,15 +7,8 @@ from alembic import op
 
 revision = "0013"
 down_revision = "0012"
-branch_labels = None
-depends_on = None
 
 
 def upgrade() -> None:
     op.add_column("sets", sa.Column("purpose", sa.String(), nullable=True))
     op.add_column("verdicts", sa.Column("confirms", sa.Boolean(), nullable=True))
-
-
-def downgrade() -> None:
-    op.drop_column("verdicts", "confirms")
-    op.drop_column("sets", "purpose")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 from daq_service.cli.keeping.certify.evidence import Evidence
@@ -54,7 +55,6 @@ def fault_table(evidence: Evidence) -> Table:
         title="Faults: alarms of instruments, disk, data and clock",
         columns=("kind", "times", "longest (h)", "together (h)", "stand now", "the last one's words"),
         rows=rows,
-        empty="none",
     )
 
 
@@ -69,7 +69,6 @@ def damage_table(evidence: Evidence) -> Table:
             for row in evidence.alarms
             if row.family == "damage"
         ],
-        empty="none",
     )
 
 
@@ -84,28 +83,21 @@ def step_table(evidence: Evidence) -> Table:
             for row in evidence.service
             if row.kind == CLOCK_STEP
         ],
-        empty="none",
     )
 
 
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Standing faults, and what was found damaged."""
-    section = "Faults and data"
-    yield Quantity(
-        name="faults_standing",
-        section=section,
-        text="faults that stand now",
-        unit="1",
-        how="device alarms whose condition holds",
-        value=sum(fault.until_ns is None for fault in faults(evidence)),
-    )
-    yield Quantity(
-        name="files_found_damaged",
-        section=section,
-        text="files that the recorder found damaged or gone",
-        unit="1",
-        how="events data_damaged, each file once",
-        value=len({row.payload["file"] for row in evidence.service if row.kind == "data_damaged"}),
+    quantity, service = partial(Quantity, "Faults and data"), evidence.service
+    standing = sum(fault.until_ns is None for fault in faults(evidence))
+    how = "device alarms whose condition holds"
+    yield quantity("faults_standing", "faults that stand now", "1", how, standing)
+    yield quantity(
+        "files_found_damaged",
+        "files that the recorder found damaged or gone",
+        "1",
+        "events data_damaged, each file once",
+        len({row.payload["file"] for row in service if row.kind == "data_damaged"}),
     )
     read = [reading for reading, _ in kept(evidence, "files_read")]
     ends = [
@@ -113,25 +105,23 @@ def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
         for reading, following in pairwise([*read, None])
         if reading is not None and (following is None or following.recorder != reading.recorder)
     ]
-    yield Quantity(
-        name="files_read_again",
-        section=section,
-        text="files that recorders read again in their idle time",
-        unit="1",
-        how="sum of the last files_read of each recorder, a file at every round",
-        value=sum(reading.told["files_read"] for reading in ends) if read else None,
-        missing="" if read else NOT_KEPT,
+    yield quantity(
+        "files_read_again",
+        "files that recorders read again in their idle time",
+        "1",
+        "sum of the last files_read of each recorder, a file at every round",
+        sum(reading.told["files_read"] for reading in ends) if read else None,
+        NOT_KEPT,
     )
     report = evidence.verified
-    yield Quantity(
-        name="damage_found",
-        section=section,
-        text="damages that solimon verify found now",
-        unit="1",
-        how="every frame, file and row compared"
+    yield quantity(
+        "damage_found",
+        "damages that solimon verify found now",
+        "1",
+        "every frame, file and row compared"
         if report is None
         else "; ".join(f"{number} {name}" for name, number in report.checked.items()),
-        value=None if report is None else len(report.damage),
-        missing="not looked at: --verify does" if report is None else "",
+        None if report is None else len(report.damage),
+        "not looked at: --verify does",
         applies=report is not None,
     )

@@ -18,7 +18,7 @@ MOST_BLOCKS = 300
 CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Quantity:
     """One number.
 
@@ -29,23 +29,29 @@ class Quantity:
     text, unit, how
         What it is, in words; its unit, "1" for a mere number; how it was computed.
     value
-        None: there is none, and ``missing`` says why.
+        None: there is none.
+    missing
+        Why there is no value; of one that there is, it is left empty.
     low, high
         Ends of its interval; None: it is known as it stands.
     applies
         False: nothing of the kind can be measured here, so no criterion asks for it.
     """
 
-    name: str
     section: str
+    name: str
     text: str
     unit: str
     how: str
     value: float | int | None = None
+    missing: str = ""
     low: float | None = None
     high: float | None = None
-    missing: str = ""
     applies: bool = True
+
+    def __post_init__(self) -> None:
+        if self.value is not None:
+            object.__setattr__(self, "missing", "")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,10 +62,10 @@ class Table:
     title: str
     columns: tuple[str, ...]
     rows: Sequence[tuple[Any, ...]]
-    empty: str
+    empty: str = "none"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Series:
     """One number over the hours of the test.
 
@@ -67,24 +73,28 @@ class Series:
     ----------
     hours, values
         Shape (n,); a reading that the system did not give is left out.
+    missing
+        Why there is nothing to show; where there is something, it is left empty.
     label, others
         What it is called beside further lines, and these by their names: hours and values.
     steps
         It stays between two readings.
-    missing
-        Why there is nothing to show.
     """
 
     name: str
     title: str
     unit: str
     how: str
-    hours: Sequence[float] = ()
-    values: Sequence[float] = ()
+    hours: Sequence[float]
+    values: Sequence[float]
+    missing: str
     others: dict[str, tuple[Sequence[float], Sequence[float]]] | None = None
     label: str = "measured"
     steps: bool = False
-    missing: str = ""
+
+    def __post_init__(self) -> None:
+        if self.values:
+            object.__setattr__(self, "missing", "")
 
 
 def quantile(values: Sequence[float], part: float) -> float:

@@ -24,85 +24,60 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
     yield record_series(evidence)
     times, real = times_of_sets(evidence), evidence.experiment.clock == "wall"
     hours = [hour for hour, _, _ in times]
+    late = [late for _, late, _ in times] if real else []
     yield Series(
-        name="start_delay_s",
-        title="Start of each set after it was due",
-        unit="s",
-        how="started_utc_ns - due_utc_ns",
-        hours=hours if real else (),
-        values=[late for _, late, _ in times] if real else (),
-        missing="" if real and times else "no set has begun" if real else NO_TIME,
+        "start_delay_s",
+        "Start of each set after it was due",
+        "s",
+        "started_utc_ns - due_utc_ns",
+        hours if real else (),
+        late,
+        "no set has begun" if real else NO_TIME,
     )
-    yield Series(
-        name="set_duration_s",
-        title="Duration of each set",
-        unit="s",
-        how="ended_utc_ns - started_utc_ns, in the test's time",
-        hours=hours,
-        values=[took for _, _, took in times],
-        missing="" if times else "no set has ended",
-    )
+    title, how = "Duration of each set", "ended_utc_ns - started_utc_ns, in the test's time"
+    took = [took for _, _, took in times]
+    yield Series("set_duration_s", title, "s", how, hours, took, "no set has ended")
     told = readings(evidence)
-    missing = "" if told else NOT_KEPT
+    hours = [reading.hour for reading in told]
+    stages = [reading.told["stage_s"] for reading in told]
+    fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
     yield Series(
-        name="line_cost_s",
-        title="Wall time of the line a set",
-        unit="s",
-        how="extracting, storing, judging and committing; of it fsync beside",
-        hours=[reading.hour for reading in told],
-        values=[cost_s(reading) for reading in told],
-        others={
-            "fsync": (
-                [reading.hour for reading in told],
-                [
-                    reading.told["stage_s"].get("fsync_s", 0.0)
-                    + reading.told["stage_s"].get("directory_fsync_s", 0.0)
-                    for reading in told
-                ],
-            )
-        },
-        missing=missing,
+        "line_cost_s",
+        "Wall time of the line a set",
+        "s",
+        "extracting, storing, judging and committing; of it fsync beside",
+        hours,
+        [cost_s(reading) for reading in told],
+        NOT_KEPT,
+        {"fsync": (hours, fsync_s)},
     )
+    missing = NOT_TOLD if told else NOT_KEPT
     for name, title, unit in (
         ("resident_bytes", "Memory of the recorder", "B"),
         ("open_handles", "Open handles of the recorder", "1"),
         ("free_bytes", "Free on the volume", "B"),
     ):
-        found = kept(evidence, name)
-        yield Series(
-            name=name,
-            title=title,
-            unit=unit,
-            how=f"{name} at the end of each set",
-            hours=[reading.hour for reading, _ in found],
-            values=[value for _, value in found],
-            missing="" if found else missing or NOT_TOLD,
-        )
+        yield Series(name, title, unit, f"{name} at the end of each set", *_kept(evidence, name), missing)
     due_h = {due.set_index: due.due_h for due in evidence.planned}
     files = [(due_h[index], size) for index, size in sorted(evidence.file_bytes.items()) if index in due_h]
+    hours = [hour for hour, _ in files]
+    forecast = [(number + 1) * evidence.forecast_bytes for number in range(len(files))]
     yield Series(
-        name="files_bytes",
-        title="Files of the sets, together",
-        unit="B",
-        how="running sum of their sizes; beside it the forecast of check-config for whole sets",
-        hours=[hour for hour, _ in files],
-        values=list(accumulate(size for _, size in files)),
-        others={
-            "forecast": (
-                [hour for hour, _ in files],
-                [(number + 1) * evidence.forecast_bytes for number in range(len(files))],
-            )
-        },
+        "files_bytes",
+        "Files of the sets, together",
+        "B",
+        "running sum of their sizes; beside it the forecast of check-config for whole sets",
+        hours,
+        list(accumulate(size for _, size in files)),
+        "no set has a file yet",
+        {"forecast": (hours, forecast)},
         steps=True,
-        missing="" if files else "no set has a file yet",
     )
-    ahead = kept(evidence, "clock_ahead_s")
-    yield Series(
-        name="clock_ahead_s",
-        title="Computer's UTC less the test's time",
-        unit="s",
-        how="clock_ahead_s at the end of each set",
-        hours=[reading.hour for reading, _ in ahead],
-        values=[value for _, value in ahead],
-        missing="" if ahead else NO_TIME if not real else NOT_KEPT,
-    )
+    title, how = "Computer's UTC less the test's time", "clock_ahead_s at the end of each set"
+    ahead = _kept(evidence, "clock_ahead_s")
+    yield Series("clock_ahead_s", title, "s", how, *ahead, NOT_KEPT if real else NO_TIME)
+
+
+def _kept(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
+    found = kept(evidence, name)
+    return [reading.hour for reading, _ in found], [value for _, value in found]

@@ -81,14 +81,10 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
     longest = max(found, key=lambda gap: gap.hours, default=None)
 
     def number(name: str, text: str, value: int, how: str) -> Quantity:
-        return Quantity(name=name, section=SECTION, text=text, unit="1", how=how, value=value)
+        return Quantity(SECTION, name, text, "1", how, value)
 
     def fraction(name: str, text: str, part: int, whole: int, how: str) -> Quantity:
-        value = part / whole if whole else None
-        missing = "" if whole else NO_SETS
-        return Quantity(
-            name=name, section=SECTION, text=text, unit="1", how=how, value=value, missing=missing
-        )
+        return Quantity(SECTION, name, text, "1", how, part / whole if whole else None, NO_SETS)
 
     return [
         number("sets_planned", "sets of the whole schedule", len(evidence.planned), "phases of the schedule"),
@@ -136,12 +132,12 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
         ),
         number("gaps", "gaps", len(found), "runs of sets without a record"),
         Quantity(
-            name="longest_gap_h",
-            section=SECTION,
-            text="longest gap",
-            unit="h",
-            how="from the set with a record before it to the next one; at an end, to hour 0 or now",
-            value=0.0 if longest is None else longest.hours,
+            SECTION,
+            "longest_gap_h",
+            "longest gap",
+            "h",
+            "from the set with a record before it to the next one; at an end, to hour 0 or now",
+            0.0 if longest is None else longest.hours,
         ),
     ]
 
@@ -195,7 +191,6 @@ def flag_table(evidence: Evidence) -> Table:
         title="Records by what the analysis flagged them with",
         columns=("flag", "records"),
         rows=sorted(evidence.flags.items(), key=lambda item: -item[1]),
-        empty="none",
     )
 
 
@@ -212,13 +207,13 @@ def record_series(evidence: Evidence) -> Series:
     x = [hours[index] for index in indices]
     values = {name: [counter[index] for index in indices] for name, counter in lines.items()}
     return Series(
-        name="records_per_set",
-        title="Valid records of each set",
-        unit="1",
-        how="sums over the positions of n_valid; planned and taken beside",
-        hours=x,
-        values=values["valid"],
+        "records_per_set",
+        "Valid records of each set",
+        "1",
+        "sums over the positions of n_valid; planned and taken beside",
+        x,
+        values["valid"],
+        NO_SETS,
+        {name: (x, values[name]) for name in ("planned", "taken")},
         label="valid",
-        others={name: (x, values[name]) for name in ("planned", "taken")},
-        missing="" if x else NO_SETS,
     )

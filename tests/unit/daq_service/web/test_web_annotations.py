@@ -19,8 +19,12 @@ def api(tmp_path_factory):
         yield client
 
 
+def ordered(api, kind, author, **arguments):
+    return api.post("/api/v1/commands", json={"kind": kind, "author": author, "arguments": arguments})
+
+
 def note(api, **body):
-    return api.post("/api/v1/annotations", json={"author": "Ada", **body})
+    return ordered(api, "annotate", "Ada", **body)
 
 
 def listed(api, query=""):
@@ -37,17 +41,17 @@ def test_a_note_is_listed_told_on_the_stream_and_withdrawn_without_being_erased(
         "Ada",
     )
     assert (row["from_utc"], row["to_utc"]) == ("2024-01-01T01:00:00Z", "2024-01-01T02:30:00Z")
-    path = f"/api/v1/annotations/{row['id']}/withdraw"
-    assert api.post(path, json={"author": "ben"}).json()["result"] == "withdrawn"
+    withdrawn = ordered(api, "withdraw_annotation", "ben", annotation_id=row["id"])
+    assert withdrawn.json()["result"] == "withdrawn"
     assert listed(api, "withdrawn=false") == []
     (kept,) = listed(api, "withdrawn=true")
     assert (kept["text"], kept["author"], kept["withdrawn_by"]) == ("couplant renewed", "Ada", "ben")
-    again = api.post(path, json={})
+    again = ordered(api, "withdraw_annotation", "operator", annotation_id=row["id"])
     assert (again.status_code, again.json()["detail"]) == (
         409,
         f"Annotation {row['id']} was withdrawn by ben already.",
     )
-    assert api.post("/api/v1/annotations/99/withdraw", json={}).status_code == 404
+    assert ordered(api, "withdraw_annotation", "ben", annotation_id=99).status_code == 404
 
 
 def test_a_range_of_hours_is_half_open_and_finds_what_reaches_into_it(api):
@@ -82,7 +86,7 @@ def test_what_is_no_note_is_refused_and_nothing_is_stored(api, body, pointer):
     before = listed(api)
     answer = note(api, **body)
     assert answer.status_code == 422, answer.text
-    assert answer.json()["errors"][0]["pointer"] == pointer
+    assert answer.json()["errors"][0]["pointer"] == f"/annotate/arguments{pointer}"
     assert listed(api) == before
 
 

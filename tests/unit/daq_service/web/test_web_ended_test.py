@@ -28,8 +28,8 @@ def ended(tmp_path):
         yield filled, api
 
 
-def ordered(api, kind, **arguments):
-    return api.post("/api/v1/commands", json={"kind": kind, "author": "Ada", "arguments": arguments})
+def ordered(api, kind, author="Ada", **arguments):
+    return api.post("/api/v1/commands", json={"kind": kind, "author": author, "arguments": arguments})
 
 
 def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
@@ -95,8 +95,7 @@ def test_a_folder_that_cannot_be_written_is_served_and_says_so(ended, monkeypatc
 
 
 def shelve(api, **body):
-    given = {"author": "Ada", "for_h": 8.0, "reason": "known", **body}
-    return api.post("/api/v1/alarms/1/shelve", json=given)
+    return ordered(api, "shelve_alarm", **{"alarm_id": 1, "for_h": 8.0, "reason": "known", **body})
 
 
 def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
@@ -111,7 +110,7 @@ def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
     assert place["shelved_until_utc"] == "2024-01-01T09:00:00Z"
     assert 'state="unacknowledged",suppressed="shelved"} 1' in api.get("/metrics").text
     assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "done"
-    answer = api.post("/api/v1/alarms/1/unshelve", json={"author": "ben", "note": "mended"})
+    answer = ordered(api, "unshelve_alarm", "ben", alarm_id=1, note="mended")
     assert answer.json()["state"] == "done"
     assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
     history = api.get("/api/v1/alarms/1/history").json()["items"]
@@ -129,7 +128,7 @@ def test_a_shelf_ends_in_real_time_though_nobody_records(ended, monkeypatch):
     monkeypatch.setattr("daq_service.processes.freshness.time.time_ns", lambda: later_ns)
     assert api.get("/api/v1/alarms/1").json()["suppressed"] is None
     assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
-    refused = api.post("/api/v1/alarms/1/unshelve", json={})
+    refused = ordered(api, "unshelve_alarm", alarm_id=1)
     assert (refused.status_code, refused.json()["detail"]) == (409, "Alarm 1 is not shelved.")
     assert shelve(api).json()["state"] == "done"
 

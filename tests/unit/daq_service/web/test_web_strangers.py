@@ -156,20 +156,18 @@ def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, header
 @pytest.mark.parametrize("blank", BLANKS, ids=ascii)
 def test_nobody_commands_under_a_blank_name_or_for_a_blank_reason(filled, api, blank):
     before = len(filled.catalogue.open_commands())
-    for path, body in (
-        ("commands", {"kind": "release", "author": blank}),
-        ("commands", {"kind": "hold", "author": "ann", "arguments": {"note": blank}}),
-        (
-            "commands",
-            {"kind": "renew_baseline", "author": "ann", "arguments": {"position": "B", "note": blank}},
-        ),
-        ("alarms/1/acknowledge", {"author": blank}),
-        ("alarms/1/shelve", {"author": "ann", "for_h": 1.0, "reason": blank}),
-        ("alarms/1/out-of-service", {"author": "ann", "reason": blank}),
-        ("annotations", {"author": "ann", "from_h": 0.0, "text": blank}),
-        ("annotations", {"author": blank, "from_h": 0.0, "text": "a note"}),
+    assert api.post("/api/v1/alarms/1/acknowledge", json={"author": blank}).status_code == 422
+    for kind, author, arguments in (
+        ("release", blank, {}),
+        ("hold", "ann", {"note": blank}),
+        ("renew_baseline", "ann", {"position": "B", "note": blank}),
+        ("shelve_alarm", "ann", {"alarm_id": 1, "for_h": 1.0, "reason": blank}),
+        ("take_out_of_service", "ann", {"alarm_id": 1, "reason": blank}),
+        ("annotate", "ann", {"from_h": 0.0, "text": blank}),
+        ("annotate", blank, {"from_h": 0.0, "text": "a note"}),
     ):
-        assert api.post(f"/api/v1/{path}", json=body).status_code == 422, path
+        order = {"kind": kind, "author": author, "arguments": arguments}
+        assert api.post("/api/v1/commands", json=order).status_code == 422, kind
     assert len(filled.catalogue.open_commands()) == before
 
 
