@@ -121,6 +121,7 @@ class World:
         self.processes: list[Process] = []
         self.starting: list[Started] = []
         self.disk_hangs = False
+        self.ran_ns = self.clock.now_ns
 
     @contextmanager
     def port(self, name: str) -> Iterator[ScriptedSupply]:
@@ -148,6 +149,11 @@ class World:
                 with suppress(BusyError):
                     started.process = Process(self, started.parameters)
                     self.processes.append(started.process)
+                    absent_s = (self.clock.now_ns - self.ran_ns) / 1e9
+                    # The state was written a while before the last process was gone.
+                    outlived = started.process.commanded and absent_s > PLAIN.unwatched_s
+                    assert not outlived, f"a command outlives {absent_s:g} s without a process"
+        self.ran_ns = self.clock.now_ns if self.processes else self.ran_ns
         for process in self.processes[:]:
             process.write()
             if not process.stalled:
