@@ -70,7 +70,7 @@ def next_action(
     silent_s, alone_s
         Since one was heard, also by a process before this one; and since this one heard one, or started.
     commanded, pending
-        A command `on` is in force; the output must be switched off and was not read as off yet.
+        A command `on` is in force; the output was not read as off since it had to be switched off.
     stays
         It does not leave by itself.
     """
@@ -152,7 +152,7 @@ class DriveProcess:
             alone_s=(now_ns - self._met_ns) / NS_PER_S,
             unwatched_s=self._parameters.unwatched_s,
             commanded=self._drive.state.command is not None,
-            pending=self._drive.must_switch_off,
+            pending=self._drive.must_switch_off or self._drive.output() == "on",
             stays=self._stays,
         )
         if action == "switch off":

@@ -291,7 +291,26 @@ def test_before_a_successor_with_another_port_it_switches_off(bench: Bench) -> N
     assert "supply_switch_off_pending" in bench.active()
     bench.supply.error = None
     bench.run(30.0, step_s=1.0)
-    assert (bench.ports, bench.supply.on) == (0, False)
+    assert (bench.ports, bench.supply.on, bench.process.leaves) == (0, False, True)
+
+
+@pytest.mark.parametrize("port", ["COM4", "COM5"])
+def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: Path, port: str) -> None:
+    """It may be the wrong one: its successor may reach the supply."""
+    write_kept(tmp_path, kept_now(DriveState(must_switch_off=True), supply_port="COM7"))
+    bench = Bench(tmp_path)
+    bench.supply.error = LOST
+    bench.run(60.0)
+    hand_over(bench, port)
+    assert (bench.locks, bench.ports) == (0, 0)
+
+
+def test_it_leaves_only_after_the_output_was_read_as_off(bench: Bench) -> None:
+    bench.supply.current_a = 0.95
+    bench.run(0.5 * UNWATCHED_S)
+    kept = read_kept(bench.folder)
+    assert kept is not None
+    assert (bench.process.leaves, kept.output) == (True, "off")
 
 
 def test_stopped_while_it_waits_for_a_successor_it_switches_off(bench: Bench) -> None:
