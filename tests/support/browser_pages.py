@@ -15,7 +15,7 @@ from support.waiting import until
 
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 ARGUMENTS = [
     "--no-sandbox",
     "--disable-gpu",
