@@ -355,18 +355,6 @@ def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_sw
         assert len(started) == 1, "it was left off"
 
 
-def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Test) -> None:
-    settings = test.settings(off_at_end=False)
-    test.run_switched_on(settings)
-    drive, charge = test.drive(), test.charge_coulomb()
-    with test.recording(settings):
-        until(lambda: test.charge_coulomb() > charge, "a set with its charge")
-        assert test.drive() == drive
-    assert test.switchings() == [True]
-    # The first recorder's clock was moved by hand, and may have been ahead of the computer's.
-    assert set(test.alarms()) <= {"clock_doubted"}
-
-
 @contextmanager
 def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
     """``solimon record`` or ``run`` on the test's folder, until a person's order has switched it on."""
@@ -586,18 +574,15 @@ def test_a_supply_that_loses_its_power_after_the_end_keeps_no_process(test: Test
     until(test.drive_has_left, "the process of the drive has left")
 
 
-@pytest.mark.parametrize("kind", ["supply_deviation", "supply_above_cap"])
-def test_a_supply_away_from_its_command_is_an_alarm(test: Test, kind: str) -> None:
-    supply = test.instruments.supply
+def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: Test) -> None:
+    supply, link = test.instruments.supply, test.instruments.supply_link
     with energised(test, deviation_after_s=0.5):
-        if kind == "supply_deviation":
-            dry = Cell(resistance_ohm=1e9)
-            test.instruments.supply_link.do(lambda: setattr(supply, "cell", dry))
-        else:
-            test.instruments.supply_link.do(lambda: supply._set.update(VOLT=25.0))
-        message = alarm(test, kind)
-        assert ("10 V set" if kind == "supply_deviation" else "25 V is above the cap of 12 V") in message
-        assert supply.on is (kind == "supply_deviation")
+        link.do(lambda: setattr(supply, "cell", Cell(resistance_ohm=1e9)))
+        assert "10 V set" in alarm(test, "supply_deviation")
+        assert supply.on
+        link.do(lambda: supply._set.update(VOLT=25.0))
+        assert "25 V is above the cap of 12 V" in alarm(test, "supply_above_cap")
+        assert not supply.on
 
 
 def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:
