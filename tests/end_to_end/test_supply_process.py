@@ -252,9 +252,10 @@ def test(tmp_path: Path) -> Iterator[Test]:
             os.kill(test.drive(), signal.SIGKILL)
 
 
-def test_the_end_switches_off_and_the_process_leaves(test: Test) -> None:
+def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(test: Test) -> None:
     test.run_switched_on(test.settings(unwatched_s=3.0))
     assert test.switchings() == [True, False], "off when the recorder ends"
+    test.instruments.supply_link.unplug()
     until(test.drive_has_left, "the process of the drive has left")
     with open_catalogue(test.folder) as catalogue:
         last = catalogue.rows(EnvironmentRow)[-1]
@@ -566,12 +567,6 @@ def test_a_drive_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) ->
         until(lambda: not test.instruments.supply.on, "the switch-off")
         with open_catalogue(test.folder) as catalogue:
             assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
-
-
-def test_a_supply_that_loses_its_power_after_the_end_keeps_no_process(test: Test) -> None:
-    test.run_switched_on(test.settings(unwatched_s=3.0))
-    test.instruments.supply_link.unplug()
-    until(test.drive_has_left, "the process of the drive has left")
 
 
 def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: Test) -> None:
