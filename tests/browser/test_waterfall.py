@@ -389,7 +389,9 @@ def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
     for theme in ("dark", "light"):
         if theme == "light":
-            page.goto(f"{service.url}?theme=light&position=B")
+            show(page, "?theme=light&position=B")
+            page.locator("#waterfall .plot").scroll_into_view_if_needed()
+            expect(page.locator("#theme")).to_have_text("Theme: light")
             drawn(page)
         found = Axe().run(page, context="#waterfall")
         assert found.violations_count == 0, found.generate_report()
