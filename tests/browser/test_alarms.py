@@ -2,7 +2,7 @@
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import dashboard, expect
+from support.browser_pages import dashboard, expect, watched_pages
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -34,13 +34,17 @@ def service(tmp_path_factory):
         yield running
 
 
-@pytest.fixture
-def page(service, open_page, request):
-    # A test that opens a set forgives that no record of it is stored.
-    opened = open_page(service.url, forgiven=getattr(request, "param", None))
-    charts = "window.solimonDashboard.charts"
-    until(lambda: opened.evaluate(f"({charts}.tof ?? {{x: []}}).x.length") > 1, "the trend is drawn")
-    return opened
+def drawn_page(open_, url, **options):
+    page = open_(url, **options)
+    until(lambda: dashboard(page, "charts.tof?.x.length > 1"), "the trend is drawn")
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(service, browser):
+    """One page for all tests, as the service is one."""
+    with watched_pages(browser) as open_:
+        yield drawn_page(open_, service.url)
 
 
 def alarm(page, number):
@@ -122,8 +126,8 @@ def test_what_to_do_is_told_beside_the_alarm(page):
     expect(alarm(page, 4)).to_contain_text("Decides: who looks after the computer")
 
 
-@pytest.mark.parametrize("page", ["404"], indirect=True)
-def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(page):
+def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, open_page):
+    page = drawn_page(open_page, service.url, forgiven="404")  # no record of the sets is stored
     box = alarm(page, 1)
     box.get_by_text("Proof", exact=True).click()
     expect(box).to_contain_text("a squared distance of 30.5 from the baseline, 1.26 times the limit of 24.3.")

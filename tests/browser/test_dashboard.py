@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from support.browser_pages import PHONE, dashboard, expect, query
+from support.browser_pages import PHONE, dashboard, expect, query, watched_pages
 from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served, served_app
 from support.waiting import until
@@ -59,6 +59,27 @@ def historian(history):
 def service(filled):
     with served(filled.settings, filled.folder) as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def ordered(history, tmp_path_factory):
+    """Another copy, of which no test takes a set."""
+    place = tmp_path_factory.mktemp("ordered") / "data"
+    shutil.copytree(history, place)
+    folder = FilledFolder(place, SETTINGS, begun=True)
+    with served(SETTINGS, place) as running:
+        yield folder, running
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def ordering(ordered, browser):
+    """Its folder, and one page for all orders of which nothing is left."""
+    folder, running = ordered
+    with watched_pages(browser) as open_:
+        page = open_(running.url)
+        wait_for_sets(page, N_SETS)
+        yield folder, page
 
 
 def shown(page):
@@ -214,9 +235,8 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     until(lambda: page.evaluate(last) == N_SETS, "the new one, too")
 
 
-def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
+def test_a_doubted_clock_is_trusted_beside_its_alarm(ordering):
+    filled, page = ordering
     filled.add_alarm(None, N_SETS - 1, kind="clock_doubted", message="the system's clock says 2010")
     alarms = page.locator("#alarms")
     expect(alarms).to_contain_text("the system's clock says 2010")
@@ -230,24 +250,26 @@ def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page)
     expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
 
 
-def test_finish_now_becomes_an_order(filled, service, open_page):
+def test_finish_now_becomes_an_order_or_expires_on_the_page(filled, service, open_page, monkeypatch):
     page = open_page(service.url)
-    page.get_by_role("button", name="Finish now").click()
-    page.get_by_role("button", name="Run to the end").click()
+    notice = page.locator("#notice")
+
+    def order():
+        page.get_by_role("button", name="Finish now").click()
+        page.get_by_role("button", name="Run to the end").click()
+
+    with monkeypatch.context() as late:
+        late.setattr("daq_service.orders.deadline.left_now_s", lambda row: 0.0)
+        order()
+        expect(notice).to_contain_text("finish_now expired: not carried out, and nobody will")
+        expect(page.locator("#finish")).to_have_text("Finish now")
+    order()
     expect(page.locator("#finish")).to_have_text(SENT)
-    assert [row.kind for row in filled.catalogue.open_commands()] == ["finish_now"]
+    # No recorder has closed the one before.
+    assert [row.kind for row in filled.catalogue.open_commands()] == ["finish_now"] * 2
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     expect(page.locator("#connection")).to_have_text("Test finished")
     expect(page.locator("#finish")).to_be_hidden()
-
-
-def test_an_order_that_nobody_begins_expires_on_the_page(filled, service, open_page, monkeypatch):
-    page = open_page(service.url)
-    monkeypatch.setattr("daq_service.orders.deadline.left_now_s", lambda row: 0.0)
-    page.get_by_role("button", name="Finish now").click()
-    page.get_by_role("button", name="Run to the end").click()
-    expect(page.locator("#notice")).to_contain_text("finish_now expired: not carried out, and nobody will")
-    expect(page.locator("#finish")).to_have_text("Finish now")
 
 
 def answer(filled, kind, arguments, state="done", result=""):
@@ -258,9 +280,9 @@ def answer(filled, kind, arguments, state="done", result=""):
 
 
 def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_until_the_release(
-    filled, service, open_page
+    ordering, ordered, open_page
 ):
-    page = open_page(service.url)
+    (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#held")
     expect(banner).to_be_hidden()
     page.locator("#hold").click()
@@ -304,8 +326,8 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.locator("#hold")).to_have_text("Hold")
 
 
-def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(filled, service, open_page):
-    page = open_page(service.url)
+def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering, ordered, open_page):
+    (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#asked")
     expect(banner).to_be_hidden()
     at = filled.due[N_SETS - 1].due_utc_ns
@@ -321,20 +343,8 @@ def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(filled, s
     expect(banner).to_be_hidden()
 
 
-def test_a_person_is_asked_for_the_first_shot_of_a_test(tmp_path, open_page):
-    folder = FilledFolder(tmp_path, SETTINGS)
-    folder.say("asked", text="strike B now", within_s=600.0)
-    with served(SETTINGS, tmp_path) as service:
-        page = open_page(service.url)
-        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
-        expect(page.locator("#asked")).to_contain_text("strike B now")
-        page.close()  # it asks on for the first record
-    folder.close()
-
-
-def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
+def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(ordering):
+    filled, page = ordering
     expect(page.locator("#retired")).to_be_hidden()
     filled.retire("C", N_SETS)
     expect(page.locator("#retired")).to_contain_text("Position C: 10 sets running with nothing at C")
@@ -399,11 +409,14 @@ def test_phone_width_shows_everything_without_sideways_scrolling(filled, service
             assert box["x"] + box["width"] <= PHONE["width"]
 
 
-def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
+def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(tmp_path, open_page):
     with served(Settings(), tmp_path) as service:
         page = open_page(service.url)
         expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
         filled = FilledFolder(tmp_path, Settings())
+        filled.say("asked", text="strike B now", within_s=600.0)
+        expect(page.locator("#asked")).to_contain_text("strike B now")
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")
         expect(page.locator("#notice")).to_be_hidden()

@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import DESK, PHONE, at_hour, dashboard, expect, query
+from support.browser_pages import DESK, PHONE, at_hour, dashboard, expect, query, show, watched_pages
 from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 from support.waiting import until
@@ -63,91 +63,100 @@ def wait_for(page, points=1):
     until(lambda: dashboard(page, "charts").get("tof", {"x": []})["x"][points - 1 :], "the trend is drawn")
 
 
-def test_one_click_on_a_point_opens_its_set_with_everything_about_it(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for(page)
-    hour = filled.due[LAST].due_h
-    page.locator("#tof .plot").scroll_into_view_if_needed()
-    page.mouse.click(*at_hour(page, "tof", hour))
-    panel = page.locator("#set")
-    expect(panel).to_have_attribute("data-set", f"B {LAST}")
-    expect(panel).to_have_attribute("data-records", str(SHOTS))
-    until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
-    shown = dashboard(page, "set")
-    waves = [record.waveform.volts() for record in filled.records(LAST) if record.key.position == "B"]
-    by_label = dict(zip(shown["labels"], shown["volts"], strict=True))
-    for shot, volts in enumerate(waves):
-        # The same linear polynomial, evaluated twice: rounding only.
-        np.testing.assert_allclose(by_label[f"shot {shot + 1}"], volts, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(
-        by_label["mean of the valid shots"], np.mean(waves, axis=0), rtol=0, atol=1e-12
-    )
-    with service.client() as api:
-        (feature,) = api.get(f"/api/v1/features?position=B&set_index={LAST}").json()["items"]
-        (verdict,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
-    assert [mark["name"] for mark in shown["marks"]] == ["ISW", "PSW"]
-    assert shown["marks"][1]["time_s"] == feature["psw_time_s"]
-    assert set(shown["windows_s"]) == {"ISW", "PSW", "SSW"}
-    low, high = shown["windows_s"]["PSW"]
-    assert low < feature["psw_time_s"] < high
-    for text in (
-        f"{1e6 * feature['tof_pp_s']:.3f} µs",
-        f"{verdict['distance_squared']:.3g}",
-        "predictive F",
-        *verdict["limits"],  # every one by its name
-        "21.5 °C",
-        f"set_{LAST:06d}",
-        "physics twin",
-        "old on the experiment's clock",
-        "Quality good",
-    ):
-        expect(panel).to_contain_text(text)
+@pytest.fixture(scope="class")
+def page(service, browser):
+    with watched_pages(browser) as open_:
+        yield open_(service.url)
 
 
-def test_alarms_and_rows_open_sets_too_and_keys_go_on_and_back(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for(page)
-    page.get_by_role("link", name=f"Open set {LAST - 1} of position C").click()
-    panel = page.locator("#set")
-    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
-    expect(page.locator("#tof")).to_contain_text("Position C")
-    page.keyboard.press("ArrowRight")
-    expect(panel).to_have_attribute("data-set", f"C {LAST}")
-    page.keyboard.press("ArrowLeft")
-    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
-    page.keyboard.press("Escape")
-    expect(panel).to_be_hidden()
-    page.go_back()
-    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
-    page.keyboard.press("Escape")
-    page.get_by_role("button", name="Table of: Wall thickness").click()
-    page.locator("#thickness tbody .link").first.click()
-    expect(panel).to_have_attribute("data-set", f"A {LAST}")
-    expect(panel).to_have_attribute("data-records", "1")
-    assert set(dashboard(page, "set.windows_s")) == {"first echo", "second echo"}
+class TestSets:
+    """Opened on one page, each from the view that it opens with."""
 
+    def test_one_click_on_a_point_opens_its_set_with_everything_about_it(self, filled, service, page):
+        show(page)
+        wait_for(page)
+        hour = filled.due[LAST].due_h
+        page.locator("#tof .plot").scroll_into_view_if_needed()
+        page.mouse.click(*at_hour(page, "tof", hour))
+        panel = page.locator("#set")
+        expect(panel).to_have_attribute("data-set", f"B {LAST}")
+        expect(panel).to_have_attribute("data-records", str(SHOTS))
+        until(
+            lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn"
+        )
+        shown = dashboard(page, "set")
+        waves = [record.waveform.volts() for record in filled.records(LAST) if record.key.position == "B"]
+        by_label = dict(zip(shown["labels"], shown["volts"], strict=True))
+        for shot, volts in enumerate(waves):
+            # The same linear polynomial, evaluated twice: rounding only.
+            np.testing.assert_allclose(by_label[f"shot {shot + 1}"], volts, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            by_label["mean of the valid shots"], np.mean(waves, axis=0), rtol=0, atol=1e-12
+        )
+        with service.client() as api:
+            (feature,) = api.get(f"/api/v1/features?position=B&set_index={LAST}").json()["items"]
+            (verdict,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
+        assert [mark["name"] for mark in shown["marks"]] == ["ISW", "PSW"]
+        assert shown["marks"][1]["time_s"] == feature["psw_time_s"]
+        assert set(shown["windows_s"]) == {"ISW", "PSW", "SSW"}
+        low, high = shown["windows_s"]["PSW"]
+        assert low < feature["psw_time_s"] < high
+        for text in (
+            f"{1e6 * feature['tof_pp_s']:.3f} µs",
+            f"{verdict['distance_squared']:.3g}",
+            "predictive F",
+            *verdict["limits"],  # every one by its name
+            "21.5 °C",
+            f"set_{LAST:06d}",
+            "physics twin",
+            "old on the experiment's clock",
+            "Quality good",
+        ):
+            expect(panel).to_contain_text(text)
 
-def test_by_keyboard_alone_from_a_chart_into_a_set_and_back(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for(page)
-    page.locator("#distance .plot").focus()
-    page.keyboard.press("End")
-    page.keyboard.press("+")
-    page.keyboard.press("+")
-    low, high = dashboard(page, "charts.tof.span")
-    assert high - low < 20, "zoomed by two steps, every chart"
-    assert dashboard(page, "charts.distance.span") == [low, high]
-    assert dashboard(page, "charts.thickness.cursor") == dashboard(page, "charts.distance.cursor")
-    page.keyboard.press("Shift+ArrowLeft")
-    assert dashboard(page, "charts.tof.span")[0] < low
-    page.keyboard.press("0")
-    assert "from_h" not in query(page)
-    page.keyboard.press("End")
-    page.keyboard.press("Enter")
-    expect(page.locator("#set")).to_have_attribute("data-set", f"B {LAST}")
-    expect(page.locator("#set-title")).to_be_focused()
-    page.keyboard.press("Escape")
-    expect(page.locator("#distance .plot")).to_be_focused()
+    def test_alarms_and_rows_open_sets_too_and_keys_go_on_and_back(self, filled, service, page):
+        show(page)
+        wait_for(page)
+        page.get_by_role("link", name=f"Open set {LAST - 1} of position C").click()
+        panel = page.locator("#set")
+        expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+        expect(page.locator("#tof")).to_contain_text("Position C")
+        page.keyboard.press("ArrowRight")
+        expect(panel).to_have_attribute("data-set", f"C {LAST}")
+        page.keyboard.press("ArrowLeft")
+        expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+        page.keyboard.press("Escape")
+        expect(panel).to_be_hidden()
+        page.go_back()
+        expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name="Table of: Wall thickness").click()
+        page.locator("#thickness tbody .link").first.click()
+        expect(panel).to_have_attribute("data-set", f"A {LAST}")
+        expect(panel).to_have_attribute("data-records", "1")
+        assert set(dashboard(page, "set.windows_s")) == {"first echo", "second echo"}
+
+    def test_by_keyboard_alone_from_a_chart_into_a_set_and_back(self, filled, service, page):
+        show(page)
+        wait_for(page)
+        page.locator("#distance .plot").focus()
+        page.keyboard.press("End")
+        page.keyboard.press("+")
+        page.keyboard.press("+")
+        low, high = dashboard(page, "charts.tof.span")
+        assert high - low < 20, "zoomed by two steps, every chart"
+        assert dashboard(page, "charts.distance.span") == [low, high]
+        assert dashboard(page, "charts.thickness.cursor") == dashboard(page, "charts.distance.cursor")
+        page.keyboard.press("Shift+ArrowLeft")
+        assert dashboard(page, "charts.tof.span")[0] < low
+        page.keyboard.press("0")
+        assert "from_h" not in query(page)
+        page.keyboard.press("End")
+        page.keyboard.press("Enter")
+        expect(page.locator("#set")).to_have_attribute("data-set", f"B {LAST}")
+        expect(page.locator("#set-title")).to_be_focused()
+        page.keyboard.press("Escape")
+        expect(page.locator("#distance .plot")).to_be_focused()
 
 
 def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
@@ -175,18 +184,13 @@ def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
     before, sent = dashboard(page, "charts"), page.url
     # Around zero, as parts in a hundred of the baseline's mean.
     assert abs(np.mean(before["tof"]["y"]["tof_pp_us"][:48])) < 1e-9
-    page.reload()
     other = open_page(sent)
-    for again in (page, other):
-        until(
-            lambda page=again: dashboard(page, "charts.feature.y") == before["feature"]["y"],
-            "it is there again",
-        )
-        after = dashboard(again, "charts")
-        assert after["tof"]["y"] == before["tof"]["y"]
-        assert after["tof"]["span"] == before["tof"]["span"]
-        expect(again.locator("#theme")).to_have_text("Theme: light")
-        expect(again.locator("#tof")).to_contain_text("relative to each position's own baseline")
+    until(lambda: dashboard(other, "charts.feature.y") == before["feature"]["y"], "it is there again")
+    after = dashboard(other, "charts")
+    assert after["tof"]["y"] == before["tof"]["y"]
+    assert after["tof"]["span"] == before["tof"]["span"]
+    expect(other.locator("#theme")).to_have_text("Theme: light")
+    expect(other.locator("#tof")).to_contain_text("relative to each position's own baseline")
     page.get_by_role("button", name="Whole test").click()
     assert "from_h" not in query(page)
     page.go_back()
@@ -204,7 +208,7 @@ def test_a_zoom_outlives_twenty_new_sets(filled, service, open_page):
         assert dashboard(page, f"charts.{name}.span") == [4, 12]
 
 
-@pytest.mark.parametrize("tabs", [3, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tabs", [2, pytest.param(10, marks=pytest.mark.slow)])
 def test_tabs_share_one_stream_and_none_freezes(filled, service, browser, tabs):
     context = browser.new_context(viewport=DESK)
     pages = [context.new_page() for _ in range(tabs)]
@@ -251,15 +255,17 @@ def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled
     expect(failing).to_contain_text(re.compile(r"was read \d+ (s|min) ago"))
 
 
-@pytest.mark.parametrize("width", [PHONE["width"], 1920])
-def test_an_open_set_fits_every_width(filled, service, open_page, width):
-    page = open_page(f"{service.url}?position=B&set={LAST}", viewport={"width": width, "height": 900})
+def test_an_open_set_fits_every_width(filled, service, open_page):
+    page = open_page(f"{service.url}?position=B&set={LAST}", viewport=PHONE)
     expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
     # The set of an address is read first: units, neighbours and baseline come after it.
     expect(page.locator("#set")).to_contain_text("Time of flight, peak to peak")
     until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
     expect(page.get_by_role("button", name="Next set")).to_be_enabled()
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for width in (PHONE["width"], 1920):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("innerWidth") == width
+        until(lambda width=width: page.evaluate("document.documentElement.scrollWidth") <= width, "it fits")
 
 
 def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):

@@ -36,8 +36,7 @@ def test_a_receiver_is_tried_by_keyboard_and_a_dead_one_is_a_warning(tmp_path, o
             expect(card).to_contain_text("Not reached for long")
             expect(card).to_contain_text("no answer within 15 s. Nothing is lost")
             for theme in ("light", "dark"):
-                page.goto(f"{service.url}?theme={theme}")
-                expect(card).to_contain_text("Not reached for long")
+                page.emulate_media(color_scheme=theme)
                 found = Axe().run(page, "#notifications")
                 assert found.violations_count == 0, found.generate_report()
             page.close()  # it would miss the service

@@ -5,7 +5,7 @@ from datetime import datetime, timedelta
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import expect
+from support.browser_pages import expect, watched_pages
 from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 
@@ -52,6 +52,15 @@ def service(filled):
         yield running
 
 
+@pytest.fixture(scope="module")
+def shared(service, browser):
+    """A page for orders that leave nothing behind, with the card of run control open."""
+    with watched_pages(browser) as open_:
+        page = open_(service.url, name="ann")
+        page.get_by_text("Run control").click()
+        yield page
+
+
 def answered(filled, author="ann"):
     """Take the one waiting order as the recorder does; its kind and arguments."""
     (command,) = filled.catalogue.open_commands()
@@ -92,10 +101,9 @@ def answered(filled, author="ann"):
     ],
 )
 def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
-    filled, service, open_page, button, consequences, confirm, order
+    filled, shared, button, consequences, confirm, order
 ):
-    page = open_page(service.url, name="ann")
-    page.get_by_text("Run control").click()
+    page = shared
     control = page.locator("#control")
     asked, dialog = control.get_by_role("button", name=button, exact=True), page.get_by_role("dialog")
     asked.click()
@@ -116,8 +124,8 @@ def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
     expect(asked).to_be_enabled()
 
 
-def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(filled, service, open_page):
-    page = open_page(service.url, name="ann")
+def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(filled, shared):
+    page = shared
     card, dialog = page.locator("#baseline"), page.get_by_role("dialog")
     expect(card.locator("summary")).to_contain_text("Baseline of B Proposed: nobody has signed it")
     card.locator("summary").press("Enter")
@@ -131,7 +139,7 @@ def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(fil
         "B-baseline-1, retired by ben, 2024-01-01",
     ):
         expect(card).to_contain_text(text)
-    assert [rule["id"] for rule in Axe().run(page).response["violations"]] == []
+    assert [rule["id"] for rule in Axe().run(page, context="#baseline").response["violations"]] == []
     card.get_by_role("button", name="Sign it").click()
     expect(dialog).to_contain_text("healthy in sets 0 to 47")
     dialog.get_by_role("button", name="Sign B-baseline-2").click()
@@ -180,9 +188,8 @@ def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, 
     expect(card.get_by_role("button", name="Sign it")).to_have_count(0)
 
 
-def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, service, open_page):
-    page = open_page(service.url, name="ann")
-    page.get_by_text("Run control").click()
+def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, shared):
+    page = shared
     page.get_by_role("button", name="Supply on, or its limits").click()
     dialog = page.get_by_role("dialog")
     dialog.get_by_label("Voltage in V").fill("12")
@@ -191,7 +198,7 @@ def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(
     assert filled.catalogue.open_commands() == []
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
-        found = Axe().run(page)
+        found = Axe().run(page, context="#control, dialog[open]")
         assert found.violations_count == 0, found.generate_report()
     dialog.get_by_label("Voltage in V").fill("5.5")
     dialog.get_by_label("Current limit in A").fill("0.25")
@@ -257,7 +264,7 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
     expect(rows).to_have_count(1)
     expect(rows).to_contain_text("cleo")
     expect(rows).to_contain_text("note: changing a sensor")
-    found = Axe().run(page)
+    found = Axe().run(page, context="#audit")
     assert found.violations_count == 0, found.generate_report()
     page.get_by_role("button", name="Any time").click()
     expect(rows).to_have_count(50)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import PHONE, dashboard, expect, query
+from support.browser_pages import PHONE, dashboard, expect, query, show, watched_pages
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -18,12 +18,12 @@ from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
 
-N_SETS, SHOTS = 24, 2
+N_SETS, SHOTS, END_H = 24, 2, 14.0
 MISSED = {9, 10, 11}
 BAD = 15
 WALL = {"width": 1920, "height": 1080}
 SETTINGS = Settings(
-    ultrasound={"delay_s": 1e-6}, schedule={"end_h": 14.0, "phases": [{"until_h": 14.0, "interval_h": 0.5}]}
+    ultrasound={"delay_s": 1e-6}, schedule={"end_h": END_H, "phases": [{"until_h": END_H, "interval_h": 0.5}]}
 )
 # The page's map, written down once more: a test that asked the page for it would find any map right.
 LIGHT = {
@@ -95,18 +95,37 @@ def value_of(rgb, limit):
     return best[1]
 
 
-def open_light(open_page, service, **view):
-    more = "".join(f"&{key}={value}" for key, value in view.items())
-    # Only a test reads pixels back.
-    page = open_page(f"{service.url}?theme=light&position=B{more}", forgiven="Canvas2D: Multiple readback")
-    drawn(page)
-    return page
+@pytest.fixture(scope="module")
+def shared(service, browser):
+    """A page for whatever is one view after the other."""
+    with watched_pages(browser) as open_:
+        # Only a test reads pixels back.
+        page = open_(f"{service.url}?theme=light&position=B", forgiven="Canvas2D: Multiple readback")
+        drawn(page)
+        yield page
+
+
+def light(page, position="B", **view):
+    """Show a view of the light page from its first hour to its last, until it is drawn."""
+    show(
+        page, f"?theme=light&position={position}" + "".join(f"&{key}={value}" for key, value in view.items())
+    )
+    page.locator("#waterfall .plot").scroll_into_view_if_needed()  # what is not seen is not asked for
+    align = {"first": "first_echo" if position == "A" else "isw"}.get(view.get("align"), "trigger")
+    wanted = {"position": position, "align": align, "shown": "volts"}
+
+    def is_drawn():
+        told = shown(page)
+        return told["ready"] and wanted.items() <= told["header"].items() and told["hours"] == [0, END_H]
+
+    until(is_drawn, "the view is drawn")
 
 
 @pytest.mark.parametrize("align", ["trigger", "first"])
-def test_pixels_are_the_samples_of_the_records(filled, service, open_page, align):
-    page = open_light(open_page, service, align=align, hides="tracks,alarms,gaps,bad")
-    told = drawn(page)
+def test_pixels_are_the_samples_of_the_records(filled, shared, align):
+    page = shared
+    light(page, align=align, hides="tracks,alarms,gaps,bad")
+    told = shown(page)
     header, limit = told["header"], told["limit"]
     image = pixels(page)
     height, width, _ = image.shape
@@ -142,9 +161,10 @@ def test_pixels_are_the_samples_of_the_records(filled, service, open_page, align
     assert seen > 100
 
 
-def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, service, open_page):
-    page = open_light(open_page, service, align="first")
-    told = drawn(page)
+def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, shared):
+    page = shared
+    light(page, align="first")
+    told = shown(page)
     (isw, psw) = told["tracks"][:2]
     assert {value for value in isw["seconds"] if value is not None} == {0.0}
     features = {
@@ -157,8 +177,9 @@ def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, service, op
     expect(page.locator("#waterfall")).to_contain_text("a set a row")
 
 
-def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, service, open_page):
-    page = open_light(open_page, service)
+def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, shared):
+    page = shared
+    light(page)
     box = page.locator("#waterfall .plot")
     box.scroll_into_view_if_needed()
     over = page.locator(".waterfall-over").bounding_box()
@@ -188,8 +209,9 @@ def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, servi
     expect(box).to_be_focused()
 
 
-def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, open_page):
-    page = open_light(open_page, service)
+def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
+    page = shared
+    light(page)
     box = page.locator("#waterfall .plot")
     box.focus()
     page.keyboard.press("Home")
@@ -288,8 +310,9 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
     expect(page.locator("#set")).to_have_attribute("data-set", f"B {newest}")
 
 
-def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, service, open_page):
-    page = open_light(open_page, service)
+def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, shared):
+    page = shared
+    light(page)
     counts = {}
     for name in ("Tracks", "Alarms", "Missing sets", "Bad sets"):
         before = int((pixels(page, "over")[..., 3] > 0).sum())
@@ -299,9 +322,9 @@ def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, service, open_p
     assert not (pixels(page, "over")[..., 3] > 0).any()
 
 
-def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(filled, service, open_page):
-    page = open_page(f"{service.url}?position=A&align=first")
-    until(lambda: shown(page)["ready"] and shown(page)["header"]["align"] == "first_echo", "it is drawn")
+def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(shared):
+    page = shared
+    light(page, position="A", align="first")
     box = page.locator("#waterfall .plot")
     box.focus()
     page.keyboard.press("End")
@@ -313,8 +336,9 @@ def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(filled, servi
     expect(page.locator("#set")).to_have_attribute("data-set", f"A {N_SETS - 1}")
 
 
-def test_it_goes_on_while_sets_arrive(filled, service, open_page):
-    page = open_light(open_page, service)
+def test_it_goes_on_while_sets_arrive(filled, shared):
+    page = shared
+    light(page)
     rows = shown(page)["header"]["rows"]
     n_sets = len(filled.catalogue.rows(FeatureRow, position="B", scope="set"))
     filled.add_set(n_sets)
@@ -365,7 +389,9 @@ def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
     for theme in ("dark", "light"):
         if theme == "light":
-            page.goto(f"{service.url}?theme=light&position=B")
+            show(page, "?theme=light&position=B")
+            page.locator("#waterfall .plot").scroll_into_view_if_needed()
+            expect(page.locator("#theme")).to_have_text("Theme: light")
             drawn(page)
         found = Axe().run(page, context="#waterfall")
         assert found.violations_count == 0, found.generate_report()

@@ -252,9 +252,10 @@ def test(tmp_path: Path) -> Iterator[Test]:
             os.kill(test.drive(), signal.SIGKILL)
 
 
-def test_the_end_switches_off_and_the_process_leaves(test: Test) -> None:
+def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(test: Test) -> None:
     test.run_switched_on(test.settings(unwatched_s=3.0))
     assert test.switchings() == [True, False], "off when the recorder ends"
+    test.instruments.supply_link.unplug()
     until(test.drive_has_left, "the process of the drive has left")
     with open_catalogue(test.folder) as catalogue:
         last = catalogue.rows(EnvironmentRow)[-1]
@@ -353,18 +354,6 @@ def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_sw
         now_s[0] += LOOK_EVERY_S
         guard.look()
         assert len(started) == 1, "it was left off"
-
-
-def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Test) -> None:
-    settings = test.settings(off_at_end=False)
-    test.run_switched_on(settings)
-    drive, charge = test.drive(), test.charge_coulomb()
-    with test.recording(settings):
-        until(lambda: test.charge_coulomb() > charge, "a set with its charge")
-        assert test.drive() == drive
-    assert test.switchings() == [True]
-    # The first recorder's clock was moved by hand, and may have been ahead of the computer's.
-    assert set(test.alarms()) <= {"clock_doubted"}
 
 
 @contextmanager
@@ -580,24 +569,15 @@ def test_a_drive_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) ->
             assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
 
 
-def test_a_supply_that_loses_its_power_after_the_end_keeps_no_process(test: Test) -> None:
-    test.run_switched_on(test.settings(unwatched_s=3.0))
-    test.instruments.supply_link.unplug()
-    until(test.drive_has_left, "the process of the drive has left")
-
-
-@pytest.mark.parametrize("kind", ["supply_deviation", "supply_above_cap"])
-def test_a_supply_away_from_its_command_is_an_alarm(test: Test, kind: str) -> None:
-    supply = test.instruments.supply
+def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: Test) -> None:
+    supply, link = test.instruments.supply, test.instruments.supply_link
     with energised(test, deviation_after_s=0.5):
-        if kind == "supply_deviation":
-            dry = Cell(resistance_ohm=1e9)
-            test.instruments.supply_link.do(lambda: setattr(supply, "cell", dry))
-        else:
-            test.instruments.supply_link.do(lambda: supply._set.update(VOLT=25.0))
-        message = alarm(test, kind)
-        assert ("10 V set" if kind == "supply_deviation" else "25 V is above the cap of 12 V") in message
-        assert supply.on is (kind == "supply_deviation")
+        link.do(lambda: setattr(supply, "cell", Cell(resistance_ohm=1e9)))
+        assert "10 V set" in alarm(test, "supply_deviation")
+        assert supply.on
+        link.do(lambda: supply._set.update(VOLT=25.0))
+        assert "25 V is above the cap of 12 V" in alarm(test, "supply_above_cap")
+        assert not supply.on
 
 
 def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:

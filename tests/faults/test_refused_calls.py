@@ -38,7 +38,7 @@ def case(call, files, error, *, first=0, count=UNTIL_FREED):
 SOME = [
     case("write", "/journal/*", "ENOSPC", first=5),
     case("write", "/catalogue.sqlite*", "EIO", first=50),
-    case("open", "/sets/*.h5", "EMFILE", first=3),
+    case("open", "/sets/*.h5", "EMFILE", first=3, count=30),
     case("open", "/catalogue.sqlite", "ENOSPC", count=1),
     case("open", "*", "EMFILE", first=100),
     {**case("mkdir", "/quarantine", "ENOSPC"), "damaged": True},

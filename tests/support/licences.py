@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.metadata import Distribution, distributions, metadata
 
 from packaging.requirements import Requirement
@@ -32,10 +33,17 @@ Need = tuple[str, Requirement]
 """A package, and what it needs."""
 
 
+@cache
 def installed() -> dict[str, Distribution]:
     """Every package that somebody installed, by its normalised name; without Python's own."""
     found = {canonicalize_name(one.metadata["Name"]): one for one in distributions()}
     return {name: one for name, one in sorted(found.items()) if name not in BROUGHT_BY_PYTHON}
+
+
+@cache
+def _wanted(name: str) -> tuple[Requirement, ...]:
+    """What an installed package says that it needs, parsed once for all systems and extras."""
+    return tuple(map(Requirement, installed()[name].requires or []))
 
 
 def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
@@ -46,7 +54,7 @@ def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
         if (name, its_extra) in seen or name not in here:
             continue
         seen.add((name, its_extra))
-        for wanted in map(Requirement, here[name].requires or []):
+        for wanted in _wanted(name):
             if wanted.marker is None or wanted.marker.evaluate({**system, "extra": its_extra}):
                 yield name, wanted
                 left += [(canonicalize_name(wanted.name), also) for also in ("", *wanted.extras)]

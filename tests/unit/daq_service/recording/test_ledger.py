@@ -183,7 +183,7 @@ def remembered(line, monkeypatch, looks):
     return known, max(read)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
 def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, monkeypatch, seed):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},

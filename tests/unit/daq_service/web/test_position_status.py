@@ -1,12 +1,14 @@
 """A position with a suppressed alarm is not green: page, list, `status`, metrics and report agree."""
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import get_args
 
 import pytest
 from support.filled_folder import FilledFolder
 from support.served_web import served, served_app
+from support.small_experiment import AtOnce
 from test_web_metrics import samples, value
 
 from daq_service import web
@@ -15,6 +17,7 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.judgement.standing import PositionStatus
 from daq_service.settings.tree import Settings
 from daq_service.web.many.app import create_app_of_many
+from daq_service.web.routes import report
 
 SETS = 4
 
@@ -36,15 +39,16 @@ def folder(tmp_path_factory):
 EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "learning"}
 
 
-def test_page_metrics_and_report_show_what_is_suppressed(folder):
+def test_page_metrics_and_report_show_what_is_suppressed(folder, monkeypatch):
+    monkeypatch.setattr(report, "one_worker", lambda: nullcontext(AtOnce()))
     with served(folder.settings, folder.folder) as service, service.client() as api:
         items = api.get("/api/v1/transducers").json()["items"]
         found = samples(api)
-        report = api.get("/api/v1/report").text
+        reported = api.get("/api/v1/report").text
     assert {item["position"]: item["state"] for item in items} == EXPECTED
     for position, status in EXPECTED.items():
         assert value(found, "position_state", position=position, state=status) == 1
-        assert f"<td>{status.replace('_', ' ')}</td>" in report
+        assert f"<td>{status.replace('_', ' ')}</td>" in reported
 
 
 def test_the_list_of_tests_shows_what_is_suppressed(folder, tmp_path):

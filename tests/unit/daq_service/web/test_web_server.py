@@ -3,8 +3,6 @@
 import asyncio
 import queue
 import socket
-import subprocess
-import sys
 import threading
 from contextlib import contextmanager
 
@@ -93,17 +91,6 @@ def test_stop_does_not_wait_for_a_client_that_does_not_read(filled):
             service.stop.set()
             service.thread.join(DEADLINE_S)
             assert not service.thread.is_alive()
-
-
-def test_importing_the_application_is_light():
-    """No plotting, physics kernel or vendor library, and nothing read or computed on import."""
-    code = (
-        "import sys, daq_service.web.app, daq_service.web.server\n"
-        "heavy = {'matplotlib', 'numba', 'nidaqmx', 'serial', 'pandas', 'scipy'} & set(sys.modules)\n"
-        "print(sorted(heavy))"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"
 
 
 # What nobody may keep open, fill or hold back
