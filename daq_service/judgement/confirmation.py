@@ -9,22 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from analysis.statistics.baseline import Baseline
 from analysis.statistics.distance import distance_squared
 from daq_service.acquisition.schedule import DueSet
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import EventRow, SetRow, VerdictRow
+from daq_service.judgement.solitary_wave_step import JudgedSet, Rules, State, Verdict, alarms
 from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.measurement import MOST_BESIDE, in_order
 from hardware_drivers.nanoseconds import NS_PER_S
-
-if TYPE_CHECKING:
-    from analysis.statistics.baseline import Baseline
-    from daq_service.judgement.solitary_wave_step import JudgedSet, Rules, State, Verdict
 
 ALARM = "the change of the wall became an alarm with it"
 STEP = "it is the first set beyond the limit"
@@ -82,13 +80,6 @@ def suspicion(before: State, after: State, verdict: Verdict, rules: Rules) -> st
     if alarms(after, rules) and not alarms(before, rules):
         return ALARM
     return STEP if verdict.outlier and not any(before.alarm.recent) else ""
-
-
-def alarms(state: State, rules: Rules) -> bool:
-    """Tell whether something has changed for good: by the chart or a wall that is named, or by k of n."""
-    if rules.decides_by == "chart" and state.memory is not None:
-        return state.memory.alarming or state.recollection.wall
-    return state.alarm.active
 
 
 def why_not(

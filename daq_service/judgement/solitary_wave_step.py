@@ -33,7 +33,6 @@ from analysis.statistics.rules import (
 )
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.judgement.cause import Origin, cause_after, design_of_causes, next_origin
-from daq_service.judgement.confirmation import alarms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,6 +201,13 @@ class Verdict:
     cause: CauseVerdict | None = None
     recollection: Recollection | None = None
     origin: Origin | None = None
+
+
+def alarms(state: State, rules: Rules) -> bool:
+    """Return whether the wall alarm is present: by the chart or a wall that is named, or by k of n."""
+    if rules.decides_by == "chart" and state.memory is not None:
+        return state.memory.alarming or state.recollection.wall
+    return state.alarm.active
 
 
 def step(

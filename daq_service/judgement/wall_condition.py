@@ -18,8 +18,7 @@ from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.cause import said
-from daq_service.judgement.confirmation import alarms
-from daq_service.judgement.solitary_wave_step import Rules, State
+from daq_service.judgement.solitary_wave_step import Rules, State, alarms
 from daq_service.judgement.stored_limits import limits_by_name, statistic_of
 
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"

@@ -11,6 +11,8 @@ from hardware_drivers.bounds import bounded
 from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS, DriveParameters, LogParameters
 from hardware_drivers.serial_port.dialects import DIALECTS
 
+POLL_S = 0.05
+"""Granularity of a reply's deadline; a reply that has come is read at once."""
 TCP_PREFIX, VISA_PREFIX = "tcp:", "visa:"
 _TCP_ADDRESS = re.compile(r"([^:\s]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})")
 USB_SERIAL_PREFIX = "serial:"

@@ -19,14 +19,12 @@ from serial.tools import list_ports
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.serial_port.parameters import (
+    POLL_S,
     TCP_PREFIX,
     USB_SERIAL_PREFIX,
     VISA_PREFIX,
     SerialLineParameters,
 )
-
-POLL_S = 0.05
-"""Granularity of a reply's deadline; a reply that has come is read at once."""
 
 try:
     import termios

@@ -10,8 +10,7 @@ import contextlib
 from collections.abc import Iterator
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
-from hardware_drivers.serial_port.parameters import SerialLineParameters
-from hardware_drivers.serial_port.port import POLL_S
+from hardware_drivers.serial_port.parameters import POLL_S, SerialLineParameters
 
 try:
     import pyvisa

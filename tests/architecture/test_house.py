@@ -2,9 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).parents[2]
 MOST_ROOMS = 17
@@ -20,3 +24,22 @@ def test_each_level_has_few_rooms_and_no_circle() -> None:
     crowded = {level: found for level, found in levels.items() if found["rooms"] > MOST_ROOMS}
     assert crowded == {}
     assert [level for level, found in levels.items() if found["floors"] is None] == []
+
+
+def test_no_circle_among_files() -> None:
+    """`graphlib.CycleError` names the circle."""
+    graph = grimp.build_graph("daq_service", "hardware_drivers", "analysis", "simulator", cache_dir=None)
+    imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    assert len(imports) > 500
+    TopologicalSorter(imports).prepare()
+
+
+def test_no_circle_among_the_scripts_of_the_page() -> None:
+    page = ROOT / "daq_service/web/dashboard"
+    pattern = re.compile(r"^(?:import|export)\b[^;]*?[\"'](\.[^\"']+\.js)[\"']", flags=re.MULTILINE)
+    imports = {
+        path: [(path.parent / name).resolve() for name in pattern.findall(path.read_text(encoding="utf-8"))]
+        for path in page.rglob("*.js")
+    }
+    assert sum(map(len, imports.values())) > 50
+    TopologicalSorter(imports).prepare()

@@ -26,7 +26,7 @@ from support.serial_rig import NO_TERMINALS, SerialRig
 from support.waiting import ended
 
 from simulator.doubles.doors.library import why_unavailable
-from simulator.doubles.serial.instruments import Cell
+from simulator.doubles.serial.supply import Cell
 from simulator.parameters.electronics import NoiseParameters
 
 ROOT = Path(__file__).parents[2]

@@ -16,8 +16,9 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
-from simulator.doubles.serial.instruments import SerialInstruments, Supply
+from simulator.doubles.serial.instruments import SerialInstruments
 from simulator.doubles.serial.link import pseudo_terminals_missing
+from simulator.doubles.serial.supply import Supply
 
 NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")

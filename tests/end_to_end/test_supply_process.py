@@ -46,8 +46,9 @@ from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.serial.instruments import Cell, SerialInstruments, Supply
+from simulator.doubles.serial.instruments import SerialInstruments
 from simulator.doubles.serial.link import pseudo_terminals_missing
+from simulator.doubles.serial.supply import Cell, Supply
 
 NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")

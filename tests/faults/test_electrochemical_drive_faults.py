@@ -6,7 +6,7 @@ from support.serial_rig import NO_TERMINALS, SerialRig
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
-from simulator.doubles.serial.instruments import Cell
+from simulator.doubles.serial.supply import Cell
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 

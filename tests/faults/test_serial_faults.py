@@ -19,8 +19,8 @@ from hardware_drivers.serial_port import port as port_module
 from hardware_drivers.serial_port.line import ATTEMPTS_PER_OPENING, SHOWN_BYTES
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
-from simulator.doubles.serial.instruments import SUPPLY_IDENTITY, Cell
 from simulator.doubles.serial.link import GARBAGE, SerialLink
+from simulator.doubles.serial.supply import SUPPLY_IDENTITY, Cell
 
 termios = pytest.importorskip("termios", reason="serial faults are tested on pseudo terminals")
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)

@@ -11,14 +11,8 @@ from __future__ import annotations
 import re
 from typing import ClassVar
 
-from simulator.doubles.serial.instruments import (
-    CONFLICT,
-    NO_ERROR,
-    OUT_OF_RANGE,
-    UNDEFINED,
-    Supply,
-)
 from simulator.doubles.serial.link import Framing
+from simulator.doubles.serial.supply import CONFLICT, NO_ERROR, OUT_OF_RANGE, UNDEFINED, Supply
 
 QUANTITY = {"V": "VOLT", "I": "CURR"}
 UNIT = {"VOLT": "V", "CURR": "A"}

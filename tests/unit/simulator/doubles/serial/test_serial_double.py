@@ -2,7 +2,7 @@
 
 import pytest
 
-from simulator.doubles.serial.instruments import Cell, Supply
+from simulator.doubles.serial.supply import Cell, Supply
 
 
 @pytest.fixture
