@@ -144,7 +144,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
             ("Time of flight", 2 * len(formats)),
             ("Mahalanobis squared distance", 2 * len(formats)),
             ("records of the set", len(formats) + 1),
-            ("the test", 5 * len(formats) + 1),
+            ("the test", (6 + 2) * len(formats) + 1),  # six tables; two of them for confirmation sets, too
         ):
             links = opened(page, of).get_by_role("link")
             addresses = [links.nth(k).get_attribute("href") for k in range(links.count())]
