@@ -273,7 +273,14 @@ class DriveProcess:
             log.error("no successor reads the supply, and it could not be switched off: %s", error)
             return False
         log.error("no successor has read the supply: switched off")
+        self._jobs(self._keep_reclaimed)
         return True
+
+    def _keep_reclaimed(self) -> None:
+        """Keep that the output is off and no command in force, unless another process has written since."""
+        found = read_kept(self._folder)
+        if self._kept is not None and (found is None or found.writer == self._writer):
+            self._write(replace(self._kept, state=replace(self._kept.state, command=None), output="off"))
 
     # Requests of a recorder --------------------------------------------------------------------------
 

@@ -271,6 +271,9 @@ def test_without_a_successor_that_reads_it_switches_off_itself(bench: Bench, suc
     bench.run(6.0, step_s=1.0)
     assert not bench.supply.on
     assert old.leaves
+    kept = read_kept(bench.folder)
+    assert kept is not None
+    assert successor != "none" or (kept.state.command, kept.output) == (None, "off")
 
 
 def test_a_supply_that_does_not_answer_is_switched_off_after_the_hand_over_when_it_does(bench: Bench) -> None:
