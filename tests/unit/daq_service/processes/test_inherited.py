@@ -128,7 +128,8 @@ def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) ->
 def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "json.py").write_text("raise SystemExit(3)", encoding="utf-8")
+    for name in ("inspect", "json", "logging"):  # some may be imported before the path is searched
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(3)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     process = start_process([*PROGRAM, "run", "--help"], {})
     said, _ = process.communicate()
