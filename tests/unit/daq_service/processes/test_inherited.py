@@ -97,6 +97,12 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
     assert done.stdout == "(100000, 100000) (3600, 3600)\n"
 
 
+def test_what_prints_in_the_background_is_not_stopped_by_its_terminal() -> None:
+    """After `stty tostop` SIGTTOU would stop it."""
+    done = started("print(signal.getsignal(signal.SIGTTOU).name)")
+    assert done.stdout == "SIG_IGN\n"
+
+
 @pytest.mark.parametrize(
     ("mask", "expected"), [(0o777, 0o600), (0o000, 0o664), (0o002, 0o664), (0o022, 0o644)]
 )
