@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.causes.hypotheses import WALL
+from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.chart import designed, with_memory
 from analysis.statistics.design import next_alarming
@@ -42,8 +42,8 @@ from analysis.statistics.memory import prewhitened
 from analysis.statistics.mewma import known_limit, mewma
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.cli.offline.twin_line import judged_sets, specimen_of
-from daq_service.judgement.rules import run_length
+from daq_service.assessment.rules import run_length
+from daq_service.cli.offline.twin_line import assessed_sets, specimen_of
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 
@@ -93,25 +93,25 @@ def settings_of(run: Run) -> Settings:
 def carry_out(run: Run) -> Outcome:
     settings = settings_of(run)
     specimen = specimen_of(settings)
-    verdicts: dict[int, Any] = {}
+    assessments: dict[int, Any] = {}
     raised: dict[int, bool] = {}
     vectors: dict[int, list[float]] = {}
     baseline_vectors, first_alarm_h, depth_at_alarm, n_baseline = [], None, None, 0
-    for found in judged_sets(settings, run.position, specimen):
-        assessment = found.assessment
-        verdicts |= {row.set_index: row for row in assessment.verdicts}
+    for found in assessed_sets(settings, run.position, specimen):
+        position_result = found.position_result
+        assessments |= {row.set_index: row for row in position_result.assessments}
         raised[found.due.set_index] = "wall_change" in found.raised
-        vectors[found.due.set_index] = [getattr(assessment.features[-1], name) for name in FEATURE_NAMES]
+        vectors[found.due.set_index] = [getattr(position_result.features[-1], name) for name in FEATURE_NAMES]
         if found.due.due_h <= settings.baseline.hours:
             baseline_vectors.append(
-                [getattr(assessment.features[-1], name) for name in (*FEATURE_NAMES, "isw_amplitude_v")]
+                [getattr(position_result.features[-1], name) for name in (*FEATURE_NAMES, "isw_amplitude_v")]
             )
-        if assessment.baseline is not None:
-            n_baseline = assessment.baseline.n_sets
+        if position_result.baseline is not None:
+            n_baseline = position_result.baseline.n_sets
         if first_alarm_h is None and found.raised & {"wall_change", "hole"}:
             first_alarm_h = found.due.due_h
             depth_at_alarm = specimen.walls[run.position].at(found.hour_h).depth_fraction
-    judged = [row for row in verdicts.values() if row.outlier is not None]
+    judged = [row for row in assessments.values() if row.outlier is not None]
     rule, states = AlarmRule(k=settings.alarms.k, n=settings.alarms.n), [AlarmState()]
     for row in judged:
         states.append(next_alarm_state(states[-1], row.outlier, rule))
@@ -123,7 +123,7 @@ def carry_out(run: Run) -> Outcome:
     }
     if run.why:
         standing |= otherwise(
-            vectors, [i for i, row in verdicts.items() if row.in_baseline], judged, settings
+            vectors, [i for i, row in assessments.items() if row.in_baseline], judged, settings
         )
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))

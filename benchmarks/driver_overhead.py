@@ -29,7 +29,7 @@ from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
 from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring
-from simulator.doubles.doors.control import running_doubles
+from simulator.doubles.transports.control import running_doubles
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import ScatterParameters, TwinParameters

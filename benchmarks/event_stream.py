@@ -37,7 +37,7 @@ from daq_service.catalogue.rows import EventRow, ShotRow
 SERVER = """
 import asyncio, json, os, socket, sys, threading
 from pathlib import Path
-from daq_service.processes.own_use import resident_bytes
+from daq_service.processes.resource_use import resident_bytes
 from daq_service.settings.tree import Settings
 from daq_service.web import server
 from daq_service.web.app import create_app

@@ -31,7 +31,7 @@ from support.healthy_sequences import P, healthy
 
 from analysis.statistics.design import Budget
 from analysis.statistics.sequence import assess
-from daq_service.cli.offline.fleet import judge_fleet
+from daq_service.cli.offline.fleet import assess_fleet
 from daq_service.cli.offline.table_file import TableFile
 from simulator.numerics.one_thread import one_blas_thread
 
@@ -77,7 +77,7 @@ def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
 
     with one_blas_thread():
         alone = [list(assess(x, in_baseline, NAMES, textbooks=False).onsets) for x in tables]
-        told = judge_fleet(paths, read, mapped, Budget(), 0.1, alone)
+        told = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
     raised = {int(one["file"]) for one in told["raised"]}
     by_budget = {k for k, rows in enumerate(alone) if rows}
     return {

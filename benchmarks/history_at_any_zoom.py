@@ -32,7 +32,7 @@ import numpy as np
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, VerdictRow
+from daq_service.catalogue.rows import AssessmentRow, FeatureRow, SetRow, ShotRow
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.routes.trends import MOST_POINTS
@@ -80,8 +80,8 @@ def add_set(commit: SetCommit, index: int, rng: np.random.Generator) -> None:
             amplitude_ratio=0.5, autocorrelation_coefficient=0.6, psw_area_v_s=1e-4,
         )
     )  # fmt: skip
-    commit.verdicts.append(
-        VerdictRow(
+    commit.assessments.append(
+        AssessmentRow(
             **own, due_h=due_h, in_baseline=index < 48, distance_squared=400.0 if outlier else distance,
             limit_name="f_predictive", limit_f=24.3, outlier=None if index < 48 else outlier,
         )

@@ -24,7 +24,7 @@ import numpy as np
 
 from daq_service.cli.forecast import stored_bytes
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.processes.own_use import open_handles, resident_bytes
+from daq_service.processes.resource_use import open_handles, resident_bytes
 from daq_service.recording.session import record
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig

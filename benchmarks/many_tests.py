@@ -32,10 +32,10 @@ from daq_service.settings.tree import Settings
 SERVER = """
 import json, sys, threading
 from pathlib import Path
-from daq_service.processes.own_use import resident_bytes
+from daq_service.processes.resource_use import resident_bytes
 from daq_service.settings.tree import Settings
-from daq_service.web.many import opened
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.multi_test import opened
+from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.server import serve
 
 opened.IDLE_S, opened.LOOK_EVERY_S = 1.0, 0.2

@@ -26,12 +26,12 @@ from typing import Any
 # Small dense problems: BLAS threads only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from daq_service.cli.offline.twin_line import judged_sets, specimen_of
+from daq_service.cli.offline.twin_line import assessed_sets, specimen_of
 from daq_service.rig.twin import transducers_of
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
-from simulator.parameters.nuisance import NUISANCE
+from simulator.parameters.environmental_variability import NUISANCE
 from simulator.specimen import build_specimen
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -57,13 +57,13 @@ def line(hours: float) -> tuple[float, int]:
     warm = settings_of("laboratory", 1.0)
     specimen = specimen_of(warm)
     for position in POSITIONS:
-        list(judged_sets(warm, position, specimen))
+        list(assessed_sets(warm, position, specimen))
     settings, strikes = settings_of("laboratory", hours), 0
 
     def work() -> None:
         nonlocal strikes
         for position in POSITIONS:
-            strikes += sum(len(judged.shots) for judged in judged_sets(settings, position, specimen))
+            strikes += sum(len(judged.shots) for judged in assessed_sets(settings, position, specimen))
 
     return cpu_seconds(work), strikes
 

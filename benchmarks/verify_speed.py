@@ -24,7 +24,7 @@ from pathlib import Path
 import h5py
 
 from daq_service.archive.verification import check_file
-from daq_service.cli.keeping.verify import verify_folder
+from daq_service.cli.maintenance.verify import verify_folder
 
 
 def cpu_s(work: Callable[[], object]) -> float:

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetReference
-from daq_service.archive.compaction import compact_set
-from daq_service.archive.waterfall.keeping import keep_file, tiles_of
-from daq_service.archive.waterfall.picture import Picture, Wanted, WaterfallReader
+from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
+from daq_service.archive.waterfall.tile_files import keep_file, tiles_of
 from daq_service.archive.waterfall.tiles import Tiles, n_bytes
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.nanoseconds import NS_PER_H

@@ -28,38 +28,38 @@ from typing import Any
 import httpx
 import numpy as np
 
-from analysis.causes.hypotheses import OK, PRIOR
-from analysis.causes.memory import RATES, Recollection
-from analysis.causes.slopes import COMPONENTS
-from analysis.causes.verdict import CauseVerdict
+from analysis.diagnosis.diagnose import Diagnosis
+from analysis.diagnosis.hypotheses import OK, PRIOR
+from analysis.diagnosis.slopes import COMPONENTS
+from analysis.diagnosis.state import RATES, DiagnosisState
 from analysis.statistics.named_limits import AVERAGE, CHART, LIMITS
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
-from daq_service.archive.compaction import compact_set
+from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.records import set_reference
+from daq_service.assessment.diagnosis import averages_of, experiment_text
+from daq_service.assessment.transaction import payload_of
+from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import SimulatedClock, parse_utc
-from daq_service.judgement.cause import averages_of, told_of
-from daq_service.judgement.transaction import payload_of
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording import session
-from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
@@ -131,13 +131,13 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
             archive.settle(record.set_index)
     Heartbeat(folder, deadline_s=1e9).beat("waiting")
     (folder / "live").mkdir(exist_ok=True)
-    LivePicture(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
+    LiveFigure(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
 
 
 def _told(index: int, drawn: list[float]) -> dict[str, Any]:
     """Give what a recorder says and remembers of a judged set beside its distance: 1.5 kB of columns."""
     change = tuple(1e-3 * drawn[k % len(drawn)] for k in range(len(COMPONENTS)))
-    cause = CauseVerdict(
+    cause = Diagnosis(
         cause=OK,
         probability=0.98,
         probabilities=PRIOR,
@@ -147,11 +147,11 @@ def _told(index: int, drawn: list[float]) -> dict[str, Any]:
         reseated=False,
         returned=False,
     )
-    memory = Recollection(n=index, index=index, changes=(change,) * len(RATES))
+    memory = DiagnosisState(n=index, index=index, changes=(change,) * len(RATES))
     return {
         "cause": cause.cause,
         "cause_probability": cause.probability,
-        "cause_told": told_of(cause),
+        "cause_told": experiment_text(cause),
         "chart": abs(drawn[1]),
         "chart_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},
@@ -227,7 +227,7 @@ def _add_set(
             commit.features.append(_feature(shot, values[number], 1))
         commit.features.append(feature)
         _tell(commit, due, "features", "set_features", feature)
-        verdict = VerdictRow(
+        assessment = AssessmentRow(
             **judged,
             in_baseline=due.set_index < 48,
             distance_squared=5.0,
@@ -238,8 +238,8 @@ def _add_set(
             contributions={"tof_pp_s": 1.0, "tof_ac_s": 1.0, "amplitude_ratio": 1.0},
             **({} if due.set_index < 48 else _told(due.set_index, values[number].tolist())),
         )
-        commit.verdicts.append(verdict)
-        _tell(commit, due, "verdicts", "set_judged", verdict)
+        commit.assessments.append(assessment)
+        _tell(commit, due, "verdicts", "set_judged", assessment)
     environment = EnvironmentRow(
         set_index=due.set_index, due_h=due.due_h, supply_state="on", supply_quality="good", supply_age_s=0.5,
         voltage_v=10.0, current_a=0.005, charge_coulomb=18.0 * due.due_h, climate_quality="good",
@@ -462,7 +462,7 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
             rig = Rig(kind="simulated", clock=SimulatedClock(resumed_ns), striker=None, digitizer=None)  # type: ignore[arg-type]
             Recorder(
                 settings, archive, catalogue, rig, catalogue.experiment_row().epoch_utc_ns,
-                live=LivePicture(folder, "simulated"), heartbeat=Heartbeat(folder, deadline_s=1e9),
+                live=LiveFigure(folder, "simulated"), heartbeat=Heartbeat(folder, deadline_s=1e9),
                 stop=threading.Event(), tell=lambda event, **values: None,
             )  # fmt: skip
             note("recorder")

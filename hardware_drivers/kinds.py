@@ -65,11 +65,11 @@ GROUPS: Mapping[Role, str] = {role: f"solimon.{role}" for role in ROLES}
 State = Literal["ok", "warn", "fail"]
 
 
-def _asks_nobody(what: str) -> None:
+def _no_person(what: str) -> None:
     """Take what a person should do where there is none to tell."""
 
 
-def _tells_nobody(what: str, begins: bool) -> None:
+def _no_listener(what: str, begins: bool) -> None:
     """Take what takes long where there is nobody to tell."""
 
 
@@ -102,12 +102,12 @@ class Opening:
 
     clock: Clock
     serves: Mapping[Role, tuple[str, ...]] = field(default_factory=dict)
-    ask: Callable[[str], None] = _asks_nobody
+    ask: Callable[[str], None] = _no_person
     shot_interval_s: float = 4.0
     epoch_utc_ns: int = 0
     boot_id: str = ""
     experiment: Mapping[str, Any] = field(default_factory=dict)
-    preparing: Callable[[str, bool], None] = _tells_nobody
+    preparing: Callable[[str, bool], None] = _no_listener
 
     @property
     def positions(self) -> tuple[str, ...]:

@@ -21,6 +21,12 @@ from simulator.echo.records import Disturbance, ProbedWall, averaged_record, dis
 from simulator.electronics.transduction import adc_calibration, counts_of, triggered_record
 from simulator.errors import SpecimenError
 from simulator.experiment.corrosion import Wall, WallHistory, held_hour_h, wall_history
+from simulator.experiment.environmental_variability import (
+    ShotNuisance,
+    TransducerNuisance,
+    disturbed_noise,
+    disturbed_strike,
+)
 from simulator.experiment.faults import (
     NO_FAULTS,
     SOUND,
@@ -29,12 +35,6 @@ from simulator.experiment.faults import (
     faulty_chain,
     faulty_strike,
     interference_of_shot,
-)
-from simulator.experiment.nuisance import (
-    ShotNuisance,
-    TransducerNuisance,
-    disturbed_noise,
-    disturbed_strike,
 )
 from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
 from simulator.experiment.seating import Climate, climate, liquid_factors

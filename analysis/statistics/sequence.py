@@ -76,7 +76,7 @@ class Assessed:
     limits: Mapping[str, float] = field(default_factory=dict)
     count: Mapping[str, int] = field(default_factory=dict)
     first: Mapping[str, int | None] = field(default_factory=dict)
-    default_because: str = ""
+    default_reason: str = ""
     onsets: tuple[int, ...] = ()
     why_not_guaranteed: str = ""
     chart_limit: float = 0.0
@@ -198,7 +198,7 @@ def _judged(
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
-        default_because=design.by_default.because,
+        default_reason=design.by_default.because,
         onsets=tuple(int(judged[row]) for row in onsets),
         why_not_guaranteed=design.why_not_guaranteed,
         chart_limit=design.chart.limit,

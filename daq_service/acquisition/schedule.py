@@ -48,7 +48,7 @@ class DueSet:
     position: str | None = None
 
 
-def beside_the_plan(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
+def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
     """Give the ``number``-th set beside the plan after a planned one, due at a time.
 
     The hour is counted from the planned set, so that hour 0 follows from both alike.

@@ -108,7 +108,7 @@ def strikes_after(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Begun:
+class ProgressOfSet:
     """What was done of a set before the recorder ended.
 
     Attributes
@@ -130,7 +130,7 @@ def take_set(
     rig: Rig,
     plan: SetPlan,
     *,
-    begun: Begun | None = None,
+    begun: ProgressOfSet | None = None,
     first_sequence: int,
     boot_id: str,
     idle: Callable[[], bool],
@@ -156,7 +156,7 @@ def take_set(
         only after `LOST_IN_A_ROW` records running, when the driver has tried all it can.
     """
     sequence = itertools.count(first_sequence)
-    begun = begun or Begun(
+    begun = begun or ProgressOfSet(
         started_ns=max(rig.clock.utc_ns(), plan.due.due_utc_ns), tried=frozenset(), n_strikes=0
     )
     interval_ns = plan.shot_interval_s * NS_PER_S

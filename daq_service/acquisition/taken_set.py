@@ -12,7 +12,7 @@ import numpy as np
 from analysis.waves.features import ShotFeatures, extract_all, extract_features
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import Begun, Measurement, MissedShot, MissReason
+from daq_service.acquisition.take_set import Measurement, MissedShot, MissReason, ProgressOfSet
 from daq_service.archive import MissedRecord, OpenSet, SetRecord
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import PulseEchoRecord, Shot, purpose_of
@@ -61,11 +61,11 @@ class TakenSet:
         keys = [item.key for item in taken]
         self.restrikes.update(key.position for key in keys if key.attempt > 0)
 
-    def begun(self, struck: Collection[str]) -> Begun:
+    def begun(self, struck: Collection[str]) -> ProgressOfSet:
         """Tell what is done of it; ``struck`` are the positions that have strikers."""
         taken: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *self.missed]
         keys = [item.key for item in taken]
-        return Begun(
+        return ProgressOfSet(
             started_ns=self.started_ns,
             tried=frozenset((key.position, key.shot_index) for key in keys),
             n_strikes=sum(key.position in struck for key in keys),
@@ -129,7 +129,7 @@ class TakenSet:
         """List what was tried and left no record, in the archive's form."""
         return [MissedRecord(key=item.key, cause=item.cause, reason=item.reason) for item in self.missed]
 
-    def told_trouble(self) -> str:
+    def instrument_error(self) -> str:
         """Name the instrument's error in the archive's form, ``class: message``; empty: there was none."""
         if self.trouble is None:
             return ""

@@ -46,7 +46,7 @@ RETIRING = ("hole", "retired")
 """Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
 ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
 """Kinds of alarm whose proof says what a confirmation set says: one turns into the other with the cause."""
-NOT_JUDGED = "not_judged"
+NOT_ASSESSED = "not_judged"
 """Kind of alarm while a baseline without limits stands, and the word for a position that is not judged."""
 
 

@@ -24,7 +24,7 @@ from daq_service.catalogue.errors import (
     CatalogueError,
     CatalogueWriteError,
 )
-from daq_service.catalogue.sealed import DamagedRow
+from daq_service.catalogue.row_checksum import DamagedRow
 from daq_service.shared_file import patiently
 
 FILE_NAME = "catalogue.sqlite"

@@ -101,7 +101,7 @@ def refuse_another(one: ExperimentRow, other: ExperimentRow, its: str, others: s
     OtherExperimentError
         They do not; with both values.
     """
-    ours, theirs = told_of(one), told_of(other)
+    ours, theirs = experiment_text(one), experiment_text(other)
     if ours != theirs:
         raise OtherExperimentError(
             f"{folder} holds two experiments: {its} tells of {ours}, {others} of {theirs}; "
@@ -109,7 +109,7 @@ def refuse_another(one: ExperimentRow, other: ExperimentRow, its: str, others: s
         )
 
 
-def told_of(row: ExperimentRow) -> str:
+def experiment_text(row: ExperimentRow) -> str:
     """Name what makes an experiment: configuration and hour 0."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 

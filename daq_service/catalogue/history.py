@@ -116,7 +116,7 @@ def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> H
     lines = content.split(b"\n")
     unreadable: list[int] = []
     for place, line in enumerate(lines, start=1):
-        told = told_by(line)
+        told = parsed_line(line)
         if told is None:
             # An empty line is where a new one was begun after a torn one.
             unreadable += [place] if line else []
@@ -139,7 +139,7 @@ def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> H
     return history
 
 
-def told_by(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
+def parsed_line(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
     """Read number, table and row of a line; None where it is damaged."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):

@@ -14,8 +14,11 @@ import sqlalchemy as sa
 
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
+from daq_service.catalogue.published_columns import Purposes
+from daq_service.catalogue.row_checksum import checked_rows, checked_values, storable
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     CommandRow,
     CountsRow,
@@ -26,10 +29,8 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    VerdictRow,
     values,
 )
-from daq_service.catalogue.sealed import checked_rows, checked_values, storable
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
     alarms,
@@ -41,14 +42,13 @@ from daq_service.catalogue.tables import (
     sets,
     table_of,
 )
-from daq_service.catalogue.told import Purposes
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
 R = TypeVar("R", bound=Row)
-OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, VerdictRow)
+OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, AssessmentRow)
 Scope = Literal["set", "shot"]
 
 _ASKED_AT_ONCE = 500
@@ -160,7 +160,7 @@ class LastWord:
     method: Method
     last_set: SetRow | None = None
     last_feature: FeatureRow | None = None
-    last_verdict: VerdictRow | None = None
+    last_verdict: AssessmentRow | None = None
     last_thickness: ThicknessRow | None = None
     active_alarms: Sequence[AlarmRow] = ()
 
@@ -327,7 +327,7 @@ class Catalogue:
         """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
         positions = self.position_names()
         with self.reading() as connection:
-            beside = connection.execute(_files_beside_the_plan())
+            beside = connection.execute(_unscheduled_files())
             found = {row.set_index: row.file for row in beside if row.set_index not in indices}
             last = connection.execute(_last_set_index()).scalar()
             left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
@@ -348,7 +348,7 @@ class Catalogue:
         with self.reading() as connection:
             last_sets = _newest(connection, SetRow)
             last_features = _newest(connection, FeatureRow)
-            last_verdicts = _newest(connection, VerdictRow)
+            last_assessments = _newest(connection, AssessmentRow)
             last_thicknesses = _newest(connection, ThicknessRow)
             active = made(connection, AlarmRow, chosen(sa.select(alarms), alarms, {"active": True}))
         return {
@@ -357,7 +357,7 @@ class Catalogue:
                 method=row.method,
                 last_set=row,
                 last_feature=last_features.get(position),
-                last_verdict=last_verdicts.get(position),
+                last_verdict=last_assessments.get(position),
                 last_thickness=last_thicknesses.get(position),
                 active_alarms=[alarm for alarm in active if alarm.position == position],
             )
@@ -393,7 +393,7 @@ class Catalogue:
         """Events behind an id, in order."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
-    def last_told(self, *kinds: str) -> EventRow | None:
+    def last_service_event(self, *kinds: str) -> EventRow | None:
         """Newest event of the service itself of one of these kinds, None where there is none."""
         told = chosen(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = told.where(events.c.kind.in_(kinds)).scalar_subquery()
@@ -405,7 +405,7 @@ class Catalogue:
 
     def held(self) -> str | None:
         """Who holds the test and why, None while nobody does."""
-        told = self.last_told("hold", "release")
+        told = self.last_service_event("hold", "release")
         return None if told is None else told.payload["held"] or None
 
     def last_event_id(self) -> int:
@@ -572,7 +572,7 @@ def _last_set_index() -> sa.Select[Any]:
 
 
 @cache
-def _files_beside_the_plan() -> sa.Select[Any]:
+def _unscheduled_files() -> sa.Select[Any]:
     files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
     return files.order_by(sets.c.set_index)
 

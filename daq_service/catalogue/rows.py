@@ -206,7 +206,7 @@ class BaselineRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VerdictRow(Row):
+class AssessmentRow(Row):
     """What novelty detection says of a set."""
 
     id: int | None = None

@@ -10,11 +10,11 @@ from typing import TypeVar
 from sqlalchemy import Connection, select
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
-from daq_service.catalogue.damage import UNREADABLE
+from daq_service.catalogue.corruption import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.migrations import SCHEMA_REVISION, known_revisions
+from daq_service.catalogue.row_checksum import DamagedRow, checked
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
-from daq_service.catalogue.sealed import DamagedRow, checked
 from daq_service.catalogue.store import revision_of
 from daq_service.catalogue.tables import table_of
 

@@ -8,7 +8,7 @@ from typing import Literal, overload
 from sqlalchemy import Engine, inspect, text
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine, reading_engine, translated
-from daq_service.catalogue.damage import refuse_damage
+from daq_service.catalogue.corruption import refuse_corruption
 from daq_service.catalogue.errors import (
     CatalogueError,
     NetworkFolderError,
@@ -75,7 +75,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     return _open_writer(path, settings) if writer else _open_reader(path)
 
 
-def open_for_one_order(folder: Path) -> RecorderCatalogue:
+def open_for_one_command(folder: Path) -> RecorderCatalogue:
     """Open the catalogue of a test that nobody records, which the caller owns: neither made nor migrated.
 
     Raises
@@ -143,7 +143,7 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
         with translated(path, "opening"):
             found = revision_of(engine)
             if found == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
-                refuse_damage(path.parent)
+                refuse_corruption(path.parent)
             if settings is not None and found is not None and found <= SCHEMA_REVISION:
                 refuse_other_test(engine, path, settings)
             if found != SCHEMA_REVISION:

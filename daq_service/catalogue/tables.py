@@ -132,13 +132,13 @@ _index(environment, "due_h")
 baselines = _table(
     "baselines", rows.BaselineRow, _unique("baselines", "name"), state=sa.DefaultClause("approved")
 )
-verdicts = _table(
+assessments = _table(
     "verdicts",
-    rows.VerdictRow,
+    rows.AssessmentRow,
     _unique("verdicts", "position", "set_index"),
     baseline_id=sa.ForeignKey("baselines.id"),
 )
-_index(verdicts, "set_index")
+_index(assessments, "set_index")
 alarms = _table("alarms", rows.AlarmRow)
 _index(alarms, "position", "kind")
 _index(alarms, "state")

@@ -13,7 +13,7 @@ from typing import Any, Self
 from sqlalchemy import NullPool, create_engine
 
 from daq_service.catalogue.connection import BUSY_TIMEOUT_S, FILE_NAME
-from daq_service.catalogue.damage import UNREADABLE, CatalogueDamage, damage_in
+from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, corruption_in
 from daq_service.catalogue.errors import (
     CatalogueDamagedError,
     CatalogueError,
@@ -21,7 +21,7 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
-from daq_service.catalogue.pyramid import trend_differences
+from daq_service.catalogue.rollups import trend_differences
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.shared_file import remove_quietly
@@ -85,7 +85,7 @@ class CatalogueLook:
     def _values(self, sql: str) -> list[Any]:
         return [value for row in self._ask(sql) for value in row.values()]
 
-    def troubles(self) -> list[CatalogueDamage]:
+    def troubles(self) -> list[CatalogueCorruption]:
         """Say what is damaged: pages, indexes, rows without their parents, rows that were not stored so."""
         shared = self._shared
         opened = partial(sqlite3.connect, self._uri, uri=True, timeout=BUSY_TIMEOUT_S)
@@ -94,13 +94,13 @@ class CatalogueLook:
             revision = self._values("SELECT version_num FROM alembic_version")
             with engine.connect() as connection:
                 current = revision == [SCHEMA_REVISION]
-                found = list(damage_in(connection, rows=current))
+                found = list(corruption_in(connection, rows=current))
                 if current and not found:
                     connection.exec_driver_sql("BEGIN")  # beside a recorder, rows and blocks of one moment
                     differing = trend_differences(connection)
-                    found = [CatalogueDamage(table=trend_blocks.name, told=told) for told in differing]
+                    found = [CatalogueCorruption(table=trend_blocks.name, told=told) for told in differing]
         except (*UNREADABLE, CatalogueDamagedError) as error:
-            found = [CatalogueDamage(told=f"{self._path} cannot be read: {error}")]
+            found = [CatalogueCorruption(told=f"{self._path} cannot be read: {error}")]
         finally:
             engine.dispose()
         if found and not shared and self._beside("-shm").exists():

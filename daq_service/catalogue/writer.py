@@ -12,11 +12,13 @@ from sqlalchemy import Connection, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.pyramid import last_sets, touched_sets, update_trends
 from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, made, stored_command
+from daq_service.catalogue.rollups import last_sets, touched_sets, update_trends
+from daq_service.catalogue.row_checksum import checked_rows, numbered, storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    AssessmentRow,
     BaselineRow,
     CommandRow,
     CommandState,
@@ -29,10 +31,17 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
-from daq_service.catalogue.sealed import checked_rows, numbered, storable
-from daq_service.catalogue.tables import commands, counts, events, experiment, sets, shots, table_of, verdicts
+from daq_service.catalogue.tables import (
+    assessments,
+    commands,
+    counts,
+    events,
+    experiment,
+    sets,
+    shots,
+    table_of,
+)
 from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -61,7 +70,7 @@ class SetCommit:
         As ``alarm_of_event``, with ``annotation_id``.
     order
         An order that is carried out by storing this, with its answer; one with the id 0 gets its id.
-    verdicts
+    assessments
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other verdict is final.
     """
@@ -71,7 +80,7 @@ class SetCommit:
     features: list[FeatureRow] = field(default_factory=list)
     thickness: list[ThicknessRow] = field(default_factory=list)
     baselines: list[BaselineRow] = field(default_factory=list)
-    verdicts: list[VerdictRow] = field(default_factory=list)
+    assessments: list[AssessmentRow] = field(default_factory=list)
     environment: list[EnvironmentRow] = field(default_factory=list)
     alarms: list[AlarmRow] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
@@ -169,7 +178,7 @@ class RecorderCatalogue(Catalogue):
             Nothing was stored.
         """
         indices = {row.set_index for row in commit.sets}
-        told = [*commit.sets, *commit.features, *commit.thickness, *commit.verdicts, *commit.alarms]
+        told = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
         touched = touched_sets(told)
         with self._writing("storing a set") as connection:
             last_before = last_sets(connection, touched)
@@ -179,7 +188,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.features)
             _insert(connection, commit.thickness)
             baseline_ids = [_kept(connection, row) for row in commit.baselines]
-            _judge(connection, commit.verdicts)
+            _judge(connection, commit.assessments)
             _insert(connection, commit.environment)
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
@@ -337,14 +346,14 @@ def _count(
     _change(connection, changed)
 
 
-def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
+def _judge(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
     """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
     new = []
     for row in rows:
-        waiting = select(verdicts.c.id).where(
-            verdicts.c.position == row.position,
-            verdicts.c.set_index == row.set_index,
-            verdicts.c.in_baseline,
+        waiting = select(assessments.c.id).where(
+            assessments.c.position == row.position,
+            assessments.c.set_index == row.set_index,
+            assessments.c.in_baseline,
         )
         waits = connection.execute(waiting).scalar() if row.in_baseline else None
         if waits is None:

@@ -13,9 +13,9 @@ from typing import Any
 import click
 
 from daq_service.catalogue import check_owner
-from daq_service.cli.run import STOPPED, child_plans, tell_of_a_full_disk
-from daq_service.cli.summary import summarise_run, told_summary
-from daq_service.cli.terminal import Telling, open_page
+from daq_service.cli.run import STOPPED, child_plans, report_full_disk
+from daq_service.cli.summary import summarise_run, summary_lines
+from daq_service.cli.terminal import ProgressReport, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
 from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
@@ -78,9 +78,9 @@ def _run_on(
     config = write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop:
-        with Telling(news_to_stderr=as_json) as telling:
+        with ProgressReport(news_to_stderr=as_json) as telling:
             telling.line(f"data: {folder}")
-            tell_of_a_full_disk(folder, settings, telling.line)
+            report_full_disk(folder, settings, telling.line)
             for note in running.notes:
                 telling.line(note)
             invitation = _Invitation(telling.line, open_page if browser else lambda url: False)
@@ -94,7 +94,7 @@ def _run_on(
                 elif message["event"] == "stopped":
                     telling.line(STOPPED)
                 elif message["event"] == "finished" and stay:
-                    for line in told_summary(summarise_run(settings, folder), folder):
+                    for line in summary_lines(summarise_run(settings, folder), folder):
                         telling.line(line)
                     telling.line("The test is done; the dashboard stays until Ctrl-C.")
 
@@ -116,7 +116,7 @@ def _run_on(
     if as_json:
         click.echo(json.dumps({**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}))
     else:
-        click.echo("\n".join([*told_summary(summary, folder), f"done in {elapsed_s:.1f} s"]))
+        click.echo("\n".join([*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]))
     return EXIT_OK
 
 

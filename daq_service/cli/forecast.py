@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from daq_service.judgement.confirmation import BUDGET_H
+from daq_service.assessment.confirmation import BUDGET_H
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -180,9 +180,9 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
 
 def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> Results:
     """Make results of records: their bytes do not depend on what they say."""
+    from daq_service.assessment.results_in_file import results_of
+    from daq_service.assessment.transaction import shot_row
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
-    from daq_service.judgement.results import results_of
-    from daq_service.judgement.transaction import shot_row
 
     common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [

@@ -11,10 +11,10 @@ import click
 
 from analysis.statistics.rules import MINIMUM_SETS
 from daq_service.acquisition.schedule import due_hours, plan
+from daq_service.assessment.baseline_quality import GOOD_SETS
 from daq_service.cli.forecast import most_confirmation_bytes, record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError
-from daq_service.judgement.readiness import GOOD_SETS
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings

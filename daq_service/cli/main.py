@@ -46,7 +46,7 @@ POSITIVE = _Positive(min=0.0, min_open=True)
 CONFIG = click.argument("config", required=False, type=FILE)
 DATA_DIR = click.option("--data-dir", type=FOLDER, help="Data folder; default: the configuration's.")
 SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
-RESTARTED = click.option("--restarted-because", default="", hidden=True)
+RESTARTED = click.option("--restart-reason", default="", hidden=True)
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 POSITION = click.option("--position", required=True, help="The transducer's position, for example B.")
 EXECUTORS = "processes|threads|dask://HOST"
@@ -391,7 +391,7 @@ def completion(shell: str) -> None:
 @JSON
 def rebuild(**options: Any) -> None:
     """Make a lost or damaged catalogue again, from the sets and the history; the old one is kept."""
-    from daq_service.cli.keeping.rebuild import print_rebuilt
+    from daq_service.cli.maintenance.rebuild import print_rebuilt
 
     print_rebuilt(**options)
 
@@ -423,9 +423,9 @@ def _give_order(kind: str, **options: Any) -> int:
         if not sys.stdin.isatty():
             raise click.UsageError(lacking)
         options["note"] = click.prompt(question, err=True)
-    from daq_service.orders.give import give_order
+    from daq_service.commands.send import send_command
 
-    return give_order(kind, **options)
+    return send_command(kind, **options)
 
 
 add_order("hold", "Strike no more until `release`: somebody works at the rig. Sets that fall due are missed.")
@@ -530,7 +530,7 @@ FOLDER_ALONE = click.option("--data-dir", type=FOLDER, required=True, help="Data
 @JSON
 def verify(**options: Any) -> int:
     """Check everything stored: frames, files, rows against files both ways; beside a running test, too."""
-    from daq_service.cli.keeping.command import run_verify
+    from daq_service.cli.maintenance.command import run_verify
 
     return run_verify(**options)
 
@@ -542,7 +542,7 @@ def verify(**options: Any) -> int:
 @JSON
 def repair(**options: Any) -> int:
     """Mend what needs no guess; says what it would do, and what only a person can."""
-    from daq_service.cli.keeping.command import run_repair
+    from daq_service.cli.maintenance.command import run_repair
 
     return run_repair(**options)
 
@@ -553,7 +553,7 @@ def repair(**options: Any) -> int:
 @JSON
 def backup(**options: Any) -> int:
     """Copy a test to DESTINATION while it runs; a second backup copies only what is new."""
-    from daq_service.cli.keeping.command import run_backup
+    from daq_service.cli.maintenance.command import run_backup
 
     return run_backup(**options)
 
@@ -585,7 +585,7 @@ def backup(**options: Any) -> int:
 @JSON
 def export(**options: Any) -> int:
     """Write a test, also one that runs, for other programs: all of it as HDF5, a table, or records."""
-    from daq_service.cli.keeping.command import run_export
+    from daq_service.cli.maintenance.command import run_export
 
     return run_export(**options)
 
@@ -612,7 +612,7 @@ def export(**options: Any) -> int:
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 def certify(**options: Any) -> int:
     """Certify a test that runs or has ended: shots, gaps, faults, delays, memory, disk, clock, a verdict."""
-    from daq_service.cli.keeping.command import run_certify
+    from daq_service.cli.maintenance.command import run_certify
 
     return run_certify(**options)
 
@@ -626,7 +626,7 @@ def certify(**options: Any) -> int:
 @JSON
 def report(**options: Any) -> None:
     """Write a test, also one that runs, or some hours of it as one HTML page that prints on paper."""
-    from daq_service.cli.keeping.report import write_report
+    from daq_service.cli.maintenance.report import write_report
 
     write_report(**options)
 
@@ -733,11 +733,11 @@ def _in_words(error: SolimonError) -> str:
     """Say what is wrong; that a catalogue is lost, where its reader only missed it."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
-        from daq_service.processes.lost_catalogue import lost_because
+        from daq_service.processes.lost_catalogue import lost_reason
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
             with suppress(StorageError):  # what lies beside it cannot be read either
-                return lost_because(error.folder) or str(error)
+                return lost_reason(error.folder) or str(error)
     return str(error)
 
 

@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from daq_service.catalogue import check_owner
-from daq_service.cli.terminal import Telling
+from daq_service.cli.terminal import ProgressReport
 from daq_service.errors import (
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -32,9 +32,9 @@ from daq_service.processes.child import (
     leave_when_pipe_closes,
     log_in_thread,
     log_to,
+    notify_supervisor,
     start_detached,
     stop_on_signals,
-    tell_supervisor,
 )
 from daq_service.processes.data_folder import (
     own_data_folder,
@@ -48,7 +48,7 @@ from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.heartbeat import web_beat
 from daq_service.processes.notifications.service import standing_by
 from daq_service.processes.printing import print_line
-from daq_service.processes.service_manager import notify, telling_service_manager
+from daq_service.processes.service_manager import notify, service_manager_notifications
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
@@ -81,7 +81,7 @@ def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int
         try:
             return carry_out(**options)
         except StorageUnavailableError as error:
-            if not options["restarted_because"]:
+            if not options["restart_reason"]:
                 raise
             raise TriedAgainError(str(error)) from error
 
@@ -94,7 +94,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
-        from daq_service.web.doors.entry import refuse_open_doors
+        from daq_service.web.auth.middleware import refuse_open_doors
 
         refuse_open_doors(settings.web, folder)
     if not no_web and settings.notifications.receivers:
@@ -103,7 +103,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         refuse_unusable(settings.notifications)
 
     log_to(folder / "logs" / "supervisor.log")
-    with stop_on_signals() as stop, Telling() as telling, ExitStack() as stack:
+    with stop_on_signals() as stop, ProgressReport() as telling, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
             telling.hear(child, message)
@@ -120,7 +120,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
                 telling.line(f"{child}: the schedule is done; {stays}")
 
         telling.line(f"data: {folder}")
-        tell_of_a_full_disk(folder, settings, telling.line)
+        report_full_disk(folder, settings, telling.line)
         supervisor = Supervisor(
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
@@ -132,7 +132,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
-def tell_of_a_full_disk(folder: Path, settings: Settings, say: Callable[[str], None]) -> None:
+def report_full_disk(folder: Path, settings: Settings, say: Callable[[str], None]) -> None:
     """Say at once what the recorder waits for, before it can store any alarm."""
     if told := refusal(disk_space(folder, settings.storage), settings.storage):
         say(f"WAITING: {told}")
@@ -155,7 +155,7 @@ def child_plans(
         Added to the recorder's: where the vendor's libraries are found.
     """
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
-    common += ["--restarted-because", "{cause}"]
+    common += ["--restart-reason", "{cause}"]
     recorder = ["record", *common, *(["--linger"] if linger else [])]
     quiet = {"PYTHONWARNINGS": ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), SWEPT_BY_PYTHON)))}
     plans = [
@@ -171,7 +171,7 @@ def record_alone(
     *,
     config: Path | None,
     data_dir: Path | None,
-    restarted_because: str,
+    restart_reason: str,
     linger: bool,
     log_json: bool,
     supervised: bool,
@@ -180,13 +180,13 @@ def record_alone(
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
-    prepare_data_folder(folder, anew=not restarted_because)
+    prepare_data_folder(folder, anew=not restart_reason)
     with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as left:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
-        tell = tell_supervisor
+        tell = notify_supervisor
         if not supervised:
-            tell = left.enter_context(telling_service_manager(left.enter_context(Telling())))
+            tell = left.enter_context(service_manager_notifications(left.enter_context(ProgressReport())))
             left.enter_context(standing_by(settings, folder, watches=False))
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
@@ -198,7 +198,7 @@ def record_alone(
                 folder,
                 partial(_open_rig_to_stay, tell),
                 stop=stop,
-                restarted_because=restarted_because,
+                restart_reason=restart_reason,
                 tell=tell,
                 linger=linger,
                 left_alone=left_alone,
@@ -234,7 +234,7 @@ def _open_rig_to_stay(
 
 
 def _print_acknowledgement(shot_id: int) -> None:
-    tell_supervisor("shot_acknowledged", shot_id=shot_id)
+    notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
@@ -315,23 +315,23 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
 
 
 def serve_alone(
-    *, config: Path | None, data_dir: Path | None, port: int | None, restarted_because: str, supervised: bool
+    *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
     """Serve the data folder until somebody says stop."""
     from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
-    from daq_service.web.doors.entry import refuse_open_doors
+    from daq_service.web.auth.middleware import refuse_open_doors
 
     settings, folder = settings_of_folder(config, data_dir)
-    if not restarted_because:
+    if not restart_reason:
         refuse_other_folders(folder)
         if config is not None:  # who opens a folder only to look needs no secrets
             refuse_unusable(settings.notifications)
     refuse_open_doors(settings.web, folder)
-    prepare_data_folder(folder, anew=not restarted_because)
+    prepare_data_folder(folder, anew=not restart_reason)
     log_to(folder / "logs" / "web.log")
-    if restarted_because:
-        log.warning("started again: the web service %s", restarted_because)
+    if restart_reason:
+        log.warning("started again: the web service %s", restart_reason)
 
     return serve_app(create_app(settings, folder), settings.web, port, supervised=supervised)
 
@@ -344,13 +344,13 @@ def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: b
 
     def on_bound(url: str) -> None:
         if supervised:
-            tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
+            notify_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
         else:
             print_line(f"dashboard: {url}", err=False)
 
     def on_beat() -> None:
         if supervised:
-            tell_supervisor("beat", **asdict(web_beat()))
+            notify_supervisor("beat", **asdict(web_beat()))
         else:
             notify("READY=1", "WATCHDOG=1")  # each time: a datagram may be lost
 

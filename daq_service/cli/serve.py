@@ -22,7 +22,7 @@ def serve_tests(
     data_dir: Path | None,
     port: int | None,
     web: Path | None,
-    restarted_because: str,
+    restart_reason: str,
     supervised: bool,
 ) -> int:
     """Serve until somebody says stop."""
@@ -41,14 +41,14 @@ def serve_tests(
         config=config,
         data_dir=data_dir,
         port=port,
-        restarted_because=restarted_because,
+        restart_reason=restart_reason,
         supervised=supervised,
     )
 
 
 def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
-    from daq_service.web.doors.entry import refuse_open_doors
-    from daq_service.web.many.app import create_app_of_many
+    from daq_service.web.auth.middleware import refuse_open_doors
+    from daq_service.web.multi_test.app import create_app_of_many
 
     settings = load_settings(web)
     own = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)

@@ -6,17 +6,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     EventRow,
     FeatureRow,
     ThicknessRow,
-    VerdictRow,
 )
 from daq_service.catalogue.store import Catalogue
-from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -52,8 +52,8 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
-    verdicts = catalogue.rows(VerdictRow, position=position)
-    judged = [row for row in verdicts if not row.in_baseline and row.outlier is not None]
+    assessments = catalogue.rows(AssessmentRow, position=position)
+    judged = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in judged if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
@@ -108,7 +108,7 @@ def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) 
 def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
     if baseline is not None:
         return baseline.n_sets
-    return sum(1 for row in catalogue.rows(VerdictRow, position=position) if row.in_baseline)
+    return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
@@ -121,7 +121,7 @@ def _fraction(outliers: Iterable[bool | None]) -> float | None:
     return sum(judged) / len(judged) if judged else None
 
 
-def told_summary(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     """Tell the summary to people: the lines of a table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "

@@ -52,7 +52,7 @@ def duration(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
-class Telling:
+class ProgressReport:
     """Tells of a running test on standard error: how far it is, its alarms, its gaps, its restarts.
 
     On a terminal the last line is rewritten and the others stay above it; elsewhere (a log, a journal, which

@@ -10,8 +10,8 @@ import pandas as pd
 import xarray
 
 from daq_service.catalogue import rows
+from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.told import Purposes
 from daq_service.client.connection import Connection
 from daq_service.client.errors import ClientError, RefusedError
 from daq_service.client.frames import frame
@@ -90,7 +90,7 @@ class Experiment:
         asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
         return self._table(rows.FeatureRow, "features", **asked)
 
-    def verdicts(
+    def assessments(
         self,
         position: str | None = None,
         *,
@@ -100,7 +100,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read squared distances, limits and outliers, with the quality of what was judged."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
-        return self._table(rows.VerdictRow, "verdicts", **asked)
+        return self._table(rows.AssessmentRow, "verdicts", **asked)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
         """Read the baselines of each position, the newest last: their life, statistics and limits."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import pandas as pd
 
+from daq_service.catalogue.published_columns import Form, PublishedColumn, described_columns, with_parts
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.told import Form, ToldColumn, told_columns, with_parts
 
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
@@ -22,9 +22,9 @@ def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any
         ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` when it was read and how the
         recorder was then.
     """
-    columns = list(told_columns(kind))
+    columns = list(described_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
-        columns.append(ToldColumn(name="age_h", form="number", unit="h", nullable=False))
+        columns.append(PublishedColumn(name="age_h", form="number", unit="h", nullable=False))
     items = [with_parts(kind, item) for item in items]
     table = pd.DataFrame({column.name: _series(column, items) for column in columns})
     table.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
@@ -32,7 +32,7 @@ def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any
     return table
 
 
-def _series(column: ToldColumn, items: Sequence[dict[str, Any]]) -> pd.Series[Any]:
+def _series(column: PublishedColumn, items: Sequence[dict[str, Any]]) -> pd.Series[Any]:
     values = [item[column.name] for item in items]
     if column.form == "time":
         return pd.to_datetime(pd.Series(values, dtype="object"), utc=True, format="ISO8601").astype(

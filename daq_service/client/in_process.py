@@ -31,7 +31,7 @@ def folder_connection(folder: Path) -> Connection:
     """
     with open_catalogue(folder) as catalogue:
         settings = stored_settings(catalogue.experiment_row().configuration)
-    app = create_app(settings, folder, asks_nobody=True)
+    app = create_app(settings, folder, no_person=True)
     http = httpx.Client(base_url="http://127.0.0.1", transport=InProcess(app), headers=UNCOMPRESSED)
     events = CatalogueEvents(context_of(app).catalogue_access)
     closed = threading.Event()

@@ -65,7 +65,7 @@ class Reply:
 
 
 @runtime_checkable
-class TellsProtections(Protocol):
+class ReportsProtections(Protocol):
     """A supply that tells why its output went off."""
 
     @property
@@ -79,7 +79,7 @@ class TellsProtections(Protocol):
         ...
 
 
-class ElectrochemicalDrive:
+class SupplyLogger:
     """Logs the supply, integrates the charge, and keeps the interlock.
 
     Parameters
@@ -373,7 +373,7 @@ class ElectrochemicalDrive:
         voltage_v, limit_a = self._set()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
         cause = ""
-        if isinstance(self._supply, TellsProtections):
+        if isinstance(self._supply, ReportsProtections):
             if tripped := self._supply.tripped_protections:
                 cause = f" (tripped: {', '.join(tripped)})"
             elif unknown := self._supply.protection_unknown:

@@ -12,8 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from daq_service.corrosion_drive.kept import read_kept
 from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.corrosion_drive.supply_state import read_kept
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 
 log = logging.getLogger(__name__)

@@ -25,10 +25,10 @@ from typing import Any, Literal
 from daq_service.clock import WallClock, boot_name
 from daq_service.corrosion_drive.channel import Message, Server
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
+from daq_service.corrosion_drive.drive import SupplyLogger, summary
 from daq_service.corrosion_drive.file_thread import FileThread
-from daq_service.corrosion_drive.kept import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
+from daq_service.corrosion_drive.supply_state import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.errors import RigError, SolimonError
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
@@ -119,7 +119,7 @@ class DriveProcess:
             self._owned = opening.pop_all()
         before = read_kept(folder)
         now_ns = self._clock.mono_ns()
-        self._drive = ElectrochemicalDrive(
+        self._drive = SupplyLogger(
             supply, self._clock, parameters, _restored(before, parameters.unwatched_s, now_ns)
         )
         self._heard_ns = self._met_ns = now_ns

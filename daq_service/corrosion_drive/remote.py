@@ -29,8 +29,8 @@ from daq_service.corrosion_drive.drive import (
     Reply,
     no_supply,
 )
-from daq_service.corrosion_drive.kept import address_of, kept_now, process_of, read_kept, write_kept
 from daq_service.corrosion_drive.own_process import fingerprint
+from daq_service.corrosion_drive.supply_state import address_of, kept_now, process_of, read_kept, write_kept
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import ConnectionLostError

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment
+from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
@@ -20,14 +21,13 @@ from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
     NORMAL,
     DriveCondition,
-    ElectrochemicalDrive,
     Reply,
+    SupplyLogger,
     no_supply,
     summary,
 )
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
-from daq_service.judgement.transaction import Transaction
 from daq_service.settings.rig import RigSettings
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
@@ -49,7 +49,7 @@ SEVERITIES: Mapping[str, Severity] = {
 }
 
 Awaited = Callable[[], str | None]
-SupplyDrive = ElectrochemicalDrive | RemoteDrive
+SupplyDrive = SupplyLogger | RemoteDrive
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
 
 
@@ -88,7 +88,7 @@ class DriveWatch:
             if remote is not None:
                 remote.begin(state)
             elif rig.supply is not None:
-                self._drive = ElectrochemicalDrive(rig.supply, rig.clock, settings.driven, state)
+                self._drive = SupplyLogger(rig.supply, rig.clock, settings.driven, state)
         self._climate = None
         if rig.climate is not None and settings.logged is not None:
             self._climate = ClimateLog(rig.climate, rig.clock, settings.logged)

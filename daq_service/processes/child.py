@@ -82,7 +82,7 @@ def announced(run: Callable[[], int], *, supervised: bool) -> int:
 
     A code without announcement counts as a crash there: a library may end the process with any code.
     """
-    announce = tell_supervisor if supervised else lambda event, **values: None
+    announce = notify_supervisor if supervised else lambda event, **values: None
     try:
         code = run()
     except SolimonError as error:
@@ -222,7 +222,7 @@ def start_detached(command: Sequence[str], given: bytes) -> subprocess.Popen[byt
     return process
 
 
-def tell_supervisor(event: str, **values: object) -> None:
+def notify_supervisor(event: str, **values: object) -> None:
     """In a child: one JSON line to the supervisor.
 
     A supervisor that is gone is no error here, nor one that stands still: a line that its full pipe does

@@ -11,7 +11,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.processes.heartbeat import time_now_ns
-from daq_service.processes.recorder_state import TELLING, look_at_recorder
+from daq_service.processes.recorder_state import PROCESS_EVENTS, look_at_recorder
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 LOOK_BACK_EVENTS = 20
@@ -44,7 +44,7 @@ class Freshness:
         self.clock = clock
         self.last_event_id = catalogue.last_event_id()
         newest = catalogue.events_after(max(0, self.last_event_id - LOOK_BACK_EVENTS), None, LOOK_BACK_EVENTS)
-        last, told = newest[-1] if newest else None, catalogue.last_told(*TELLING)
+        last, told = newest[-1] if newest else None, catalogue.last_service_event(*PROCESS_EVENTS)
         wall_ns = time.time_ns()
         self.recorder = look_at_recorder(folder, [told.kind] if told else [])
         told_ns = time_now_ns(self.recorder.beat) if clock == "wall" else None

@@ -42,7 +42,7 @@ def lost_catalogue(folder: Path) -> bool:
     return begun or bool(FolderSetReader(folder).sets())
 
 
-def lost_because(folder: Path) -> str:
+def lost_reason(folder: Path) -> str:
     """Say that the catalogue is lost and what helps; empty: it is not.
 
     Raises

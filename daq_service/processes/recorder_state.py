@@ -19,7 +19,7 @@ FAREWELLS: dict[str, tuple[Word, str]] = {
     "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
     "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to go on"),
 }
-TELLING = ("recorder_started", *FAREWELLS)
+PROCESS_EVENTS = ("recorder_started", *FAREWELLS)
 """Events of the service that tell how a recorder is."""
 
 
@@ -60,13 +60,13 @@ def recorder_state(
     Parameters
     ----------
     kinds
-        Kinds of the newest events, oldest first; those that are not `TELLING` say nothing.
+        Kinds of the newest events, oldest first; those that are not `PROCESS_EVENTS` say nothing.
     owned
         Somebody holds the folder's lock; None where nobody can tell: then the heartbeat decides.
     boot, mono_ns
         This boot and its monotonic time.
     """
-    told = next((kind for kind in reversed(kinds) if kind in TELLING), "")
+    told = next((kind for kind in reversed(kinds) if kind in PROCESS_EVENTS), "")
     age = None if beat is None else age_s(beat, boot=boot, mono_ns=mono_ns)
     late = beat is not None and age is not None and age > beat.deadline_s
     runs = owned if owned is not None else beat is not None and age is not None and not late

@@ -17,7 +17,7 @@ from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_co
 from daq_service.alarms.states import Moment, update
 from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
-from daq_service.catalogue.store import NoDataYetError, open_for_one_order
+from daq_service.catalogue.store import NoDataYetError, open_for_one_command
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -114,7 +114,7 @@ class RecorderWatch:
 
     def _carry(self, finding: str, fresh: Freshness) -> None:
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
-        with open_for_one_order(self._folder) as catalogue:
+        with open_for_one_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
             change = update(rows[-1] if rows else None, recorder_condition(finding, fresh.now_h), moment)
             if change is None:

@@ -35,7 +35,7 @@ def notify(*assignments: str) -> None:
 
 
 @contextmanager
-def telling_service_manager(tell: Teller, send: Callable[..., None] = notify) -> Iterator[Teller]:
+def service_manager_notifications(tell: Teller, send: Callable[..., None] = notify) -> Iterator[Teller]:
     """Let a service manager hear, too, what a recorder tells; at the end that it stops.
 
     Each beat is good for its deadline, also while the service starts or stops.

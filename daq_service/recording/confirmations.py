@@ -10,11 +10,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from daq_service.acquisition.schedule import DueSet, beside_the_plan, due_hours
+from daq_service.acquisition.schedule import DueSet, due_hours, unscheduled_set
 from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, retired_positions
-from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.judgement.confirmation import (
+from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
     Confirmed,
@@ -26,7 +24,9 @@ from daq_service.judgement.confirmation import (
     next_number,
     why_not,
 )
-from daq_service.judgement.transaction import Transaction
+from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -75,8 +75,8 @@ class Confirmations:
         for row in stored.sets:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_index, None)
-                verdict = next((one for one in stored.verdicts if one.set_index == row.set_index), None)
-                self._said[row.position] = confirmed(row, verdict)
+                assessment = next((one for one in stored.assessments if one.set_index == row.set_index), None)
+                self._said[row.position] = confirmed(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Time that is left until the planned set after one."""
@@ -126,7 +126,7 @@ class Confirmations:
         number = next_number([*self.asked.values(), *beside], planned.set_index)
         if number is None:
             return None
-        due = beside_the_plan(number, planned, moment.utc_ns, position)
+        due = unscheduled_set(number, planned, moment.utc_ns, position)
         one = Confirmation(due=due, because=because, author=author)
         transaction.tell(CONFIRMATION_ASKED, one.payload(), moment, position=position)
         return one

@@ -66,7 +66,7 @@ def _of_the_files(archive: SetReader) -> ExperimentRow | None:
     return None
 
 
-def foreign_because(record: SetRecord, experiment: ExperimentRow) -> str:
+def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
     """Say why a set is not of this experiment; empty: it is."""
     told = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if told != experiment.configuration_hash:

@@ -13,9 +13,11 @@ from pathlib import Path
 
 from daq_service.acquisition.taken_set import features_of
 from daq_service.archive import FolderSetReader
+from daq_service.assessment.results_in_file import results_in
+from daq_service.background.tiles import tiles_again
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.damage import refuse_damage
+from daq_service.catalogue.corruption import refuse_corruption
 from daq_service.catalogue.errors import (
     CatalogueError,
     CatalogueWriteError,
@@ -26,11 +28,9 @@ from daq_service.catalogue.experiment_file import keep_experiment, refuse_anothe
 from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, salvaged
-from daq_service.judgement.results import results_in
 from daq_service.processes.lost_catalogue import history_of
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
-from daq_service.recording.tiling import tiles_again
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently, sync_folder
@@ -115,7 +115,7 @@ def rebuild(
             refuse_foreign(found.foreign, str(folder))
             catalogue.recount()
             n_events = catalogue.counts()["events"]
-        refuse_damage(place)
+        refuse_corruption(place)
         name = _replace(folder, place)
     except OSError as error:
         raise CatalogueWriteError(
@@ -123,7 +123,7 @@ def rebuild(
         ) from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
-    not_tiled = _tell_beside(folder, progress)
+    not_tiled = _update_copies(folder, progress)
     return Rebuilt(
         experiment=experiment.name,
         sets=found.sets,
@@ -163,7 +163,7 @@ def _sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _tell_beside(folder: Path, progress: Progress) -> list[str]:
+def _update_copies(folder: Path, progress: Progress) -> list[str]:
     """Let experiment.json, history and tiles say what the new catalogue says; return what tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.experiment_row()

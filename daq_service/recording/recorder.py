@@ -28,26 +28,26 @@ from daq_service.acquisition.taken_set import (
 from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
+from daq_service.assessment.confirmation import no_room
+from daq_service.assessment.transaction import Transaction
+from daq_service.background.live_figure import LiveFigure
+from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AnnotationRow, SetRow
 from daq_service.clock import WallClock, boot_id
+from daq_service.commands.execution import LISTEN_EVERY_S, CommandExecutor
+from daq_service.commands.running_test import RunningTest
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
-from daq_service.judgement.confirmation import no_room
-from daq_service.judgement.transaction import Transaction
-from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
-from daq_service.orders.running_test import RunningTest
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.recording.backlog import PASSING
+from daq_service.recording.computer_load import MACHINE_READ
 from daq_service.recording.cost import Cost
-from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
-from daq_service.recording.ledger import Ledger
-from daq_service.recording.live_picture import LivePicture
-from daq_service.recording.machine import MACHINE_READ
+from daq_service.recording.experiment import foreign_reason, refuse_foreign, refuse_foreign_open_set
 from daq_service.recording.opening import Opening
+from daq_service.recording.persistence import LOOK_EVERY_S, Helpers, Persistence
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
-from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
+from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
@@ -82,7 +82,7 @@ class Recorder:
         rig: Rig,
         epoch_ns: int,
         *,
-        live: LivePicture,
+        live: LiveFigure,
         heartbeat: Heartbeat,
         stop: threading.Event,
         tell: Teller,
@@ -126,8 +126,8 @@ class Recorder:
             if opened.is_dated:
                 refuse_foreign_open_set(opened, self._plan, archive.name)
         self._cost, self._machine = Cost(), helpers.machine
-        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
-        self._kept = Safekeeping(
+        self._ledger = SetAssessor(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
+        self._kept = Persistence(
             archive,
             catalogue,
             self._ledger,
@@ -175,10 +175,10 @@ class Recorder:
             supply=drive if drive is not None and drive.has_supply else None,
         )
         adopt = self._ledger.adopt
-        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
+        self._orders = CommandExecutor(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
         rig.asking.listen(self._asked)
 
-    def run(self, *, not_running_because: str, opening: Opening | None = None) -> bool:
+    def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due; False when told to stop.
 
         Parameters
@@ -192,14 +192,14 @@ class Recorder:
             "dry_run": self._rig.dry_run,
             "rig_identity": dict(self._rig.identity),
             "sets_done": len(done),
-            "before": not_running_because,
+            "before": not_running_reason,
             "versions": self._provenance["versions"],
         }
         self._kept.do(self._orders.begin)
         self._kept.say("recorder_started", started)
         self._set_damaged_aside()
         self._tell("begun")
-        absences = self._wait_for_a_set_clock(not_running_because, opening)
+        absences = self._wait_for_a_set_clock(not_running_reason, opening)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 self._newest = due
@@ -482,10 +482,10 @@ class Recorder:
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
-    def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_because: str = "") -> None:
+    def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
         self._begin(f"storing {_named(due)}")
-        record = self._record_of(due, taken, self._damaged.get(due.set_index, cut_short_because))
+        record = self._record_of(due, taken, self._damaged.get(due.set_index, cut_short_reason))
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
         # Now, and not when the disk takes the set.
         machine = None if self._machine is None else self._machine.read(self._cost)
@@ -505,7 +505,7 @@ class Recorder:
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
         self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
 
-    def _record_of(self, due: DueSet, taken: TakenSet, cut_short_because: str) -> SetRecord:
+    def _record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         return SetRecord(
             set_index=due.set_index,
             due_utc_ns=due.due_utc_ns,
@@ -513,12 +513,12 @@ class Recorder:
             started_utc_ns=taken.started_ns,
             ended_utc_ns=taken.ended_ns,
             rig_kind=self._rig.kind,
-            positions=self._position_records(taken, cut_short_because),
+            positions=self._position_records(taken, cut_short_reason),
             shots=taken.shots,
             echoes=taken.echoes,
             missed=taken.missed_records(),
             outcomes=taken.superseded(),
-            trouble=taken.told_trouble(),
+            trouble=taken.instrument_error(),
             environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
             provenance=self._provenance,
         )
@@ -544,13 +544,13 @@ class Recorder:
         self._calibrated_ns = now_ns
         self._kept.say("self_calibrated", dict(told))
 
-    def _position_records(self, taken: TakenSet, cut_short_because: str) -> list[PositionRecord]:
+    def _position_records(self, taken: TakenSet, cut_short_reason: str) -> list[PositionRecord]:
         return [
             PositionRecord(
                 position=name,
                 method=place.method,
                 n_planned=self._ledger.n_planned(name),
-                cause=self._shortfall(name, taken, cut_short_because),
+                cause=self._shortfall(name, taken, cut_short_reason),
                 label=place.label,
                 serial_number=place.serial_number,
             )
@@ -558,9 +558,9 @@ class Recorder:
             if name not in taken.retired
         ]
 
-    def _shortfall(self, position: str, taken: TakenSet, cut_short_because: str = "") -> str:
+    def _shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
         told_to = (
-            cut_short_because
+            cut_short_reason
             or self._ledger.retired().get(position)
             or self._orders.held
             or "the recorder was told to stop"
@@ -599,7 +599,7 @@ class Recorder:
         """Let no damaged file without rows block the start: its set is due again, or missed."""
         for set_index, file in list(self._orphans.items()):
             try:
-                why = foreign_because(self._archive.read_set(file), self._catalogue.experiment_row())
+                why = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
                 refuse_foreign([f"{file}: {why}"] if why else [], self._archive.name)
             except CorruptArchiveError as error:
                 log.error("set %d is set aside: %s", set_index, error)
@@ -630,7 +630,7 @@ class Recorder:
         opened = self._open.pop(due.set_index, None)
         if opened is not None and opened.records:
             self._archive.resume_set(opened)
-            self._store_and_judge(due, self._restored(opened), cut_short_because=cause)
+            self._store_and_judge(due, self._restored(opened), cut_short_reason=cause)
             return
         self._archive.settle(due.set_index)
         causes = dict.fromkeys(self._places(due), cause)
@@ -640,17 +640,17 @@ class Recorder:
     # A clock that cannot be believed, or is set ---------------------------------------------------
 
     def _wait_for_a_set_clock(
-        self, not_running_because: str, opening: Opening | None
+        self, not_running_reason: str, opening: Opening | None
     ) -> list[tuple[int, str]]:
         """Let time stand still while it is doubted; why sets were missed until when (ns of UTC), in order."""
         clock, reasons = self._rig.clock, list[str]()
         if not isinstance(clock, WallClock):
-            return [(clock.utc_ns(), not_running_because)]
+            return [(clock.utc_ns(), not_running_reason)]
 
         def idle(reason: str) -> bool:
             if not reasons:
                 log.error("waiting for a set clock: %s", reason)
-                self._tell_of_the_clock(reason)
+                self._report_clock(reason)
             reasons.append(reason)
             self._doing = f"waiting for a set clock: {reason}"
             return self._idle()
@@ -662,18 +662,18 @@ class Recorder:
         if believed is not None:
             log.warning("%s", believed.message)
             self._kept.say(CLOCK_BELIEVED, asdict(believed))
-        self._tell_of_the_clock("")
+        self._report_clock("")
         now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
         offset_ns = now_ns - clock.mono_ns()
-        opened = [(offset_ns + began_ns, not_running_because)]
+        opened = [(offset_ns + began_ns, not_running_reason)]
         if opening is not None:
-            opened = [(offset_ns + opening.since_mono_ns, not_running_because), (opened[0][0], opening.told)]
+            opened = [(offset_ns + opening.since_mono_ns, not_running_reason), (opened[0][0], opening.told)]
         return [*opened, (now_ns, waited)]
 
-    def _tell_of_the_clock(self, doubt: str) -> None:
+    def _report_clock(self, doubt: str) -> None:
         self._kept.do(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))
 
-    def _tell_clock_steps(self) -> None:
+    def _report_clock_steps(self) -> None:
         if isinstance(self._rig.clock, WallClock):
             for step in self._rig.clock.steps():
                 log.warning("%s", step.message)
@@ -721,7 +721,7 @@ class Recorder:
 
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
-        self._tell_clock_steps()
+        self._report_clock_steps()
         self._kept.look_at_the_web()
         self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())

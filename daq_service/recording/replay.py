@@ -20,10 +20,15 @@ from daq_service.acquisition.taken_set import due_of, features_of, features_of_a
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
+from daq_service.assessment.baseline_lifecycle import STEPS
+from daq_service.assessment.confirmation import CONFIRMATION_ASKED
+from daq_service.assessment.results_in_file import differing, results_of
+from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    AssessmentRow,
     BaselineRow,
     EnvironmentRow,
     EventRow,
@@ -32,15 +37,10 @@ from daq_service.catalogue.rows import (
     Row,
     SetRow,
     ThicknessRow,
-    VerdictRow,
 )
-from daq_service.judgement.confirmation import CONFIRMATION_ASKED
-from daq_service.judgement.life import STEPS
-from daq_service.judgement.results import differing, results_of
-from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
-from daq_service.recording.experiment import foreign_because
-from daq_service.recording.ledger import Ledger
+from daq_service.recording.experiment import foreign_reason
+from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, in_order, purpose_of
 
@@ -57,7 +57,7 @@ _TOLD_ROWS: Mapping[str, type[Row]] = {
     "set_features": FeatureRow,
     "thickness_read": ThicknessRow,
     "baseline_frozen": BaselineRow,
-    "set_judged": VerdictRow,
+    "set_judged": AssessmentRow,
     "environment_read": EnvironmentRow,
 }
 """Kinds of events that tell a whole row."""
@@ -138,14 +138,18 @@ class _Replay:
         self._late: list[EventRow] = []
         self._result = Replayed()
 
-    def _new_ledger(self) -> Ledger:
-        return Ledger(self._settings, self._archive, self._catalogue, None, Cost(), rehearsal=self._rehearsal)
+    def _new_ledger(self) -> SetAssessor:
+        return SetAssessor(
+            self._settings, self._archive, self._catalogue, None, Cost(), rehearsal=self._rehearsal
+        )
 
     def run(self, progress: Callable[[int, int], None]) -> Replayed:
         files = dict(self._archive.sets())
         total = len(files)
-        told_of = {event.set_index for event in self._told.events.values() if event.set_index is not None}
-        untold = sorted(files.keys() - told_of, key=in_order)
+        experiment_text = {
+            event.set_index for event in self._told.events.values() if event.set_index is not None
+        }
+        untold = sorted(files.keys() - experiment_text, key=in_order)
         runs = list(_runs(self._told.events))
         for number, (set_index, events) in enumerate(runs):
             if set_index is None:
@@ -184,7 +188,7 @@ class _Replay:
                 self._ledger.reinstated(event.position)
 
     def _take_alarm(self, event: EventRow) -> None:
-        self._ledger.take_told(event)
+        self._ledger.take_stored(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = _told_with_id(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
@@ -214,7 +218,7 @@ class _Replay:
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
         return [rows[position] for position in self._settings.positions if position in rows]
 
-    def _renewed(self) -> Ledger:
+    def _renewed(self) -> SetAssessor:
         """Judge on as after a restart: by what the rows say, since the records are not all there."""
         self._catalogue.restore(self._alarms.values())
         try:
@@ -238,7 +242,7 @@ class _Replay:
                 if events:
                     self._tell(events)
                 return
-        if why := foreign_because(record, self._experiment):
+        if why := foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
             return
         due = due_of(record)
@@ -353,7 +357,7 @@ def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: 
             for row in _rows(ThicknessRow, events)
         ]
         transaction.baselines = _rows(BaselineRow, events)
-        transaction.verdicts = _rows(VerdictRow, events)
+        transaction.assessments = _rows(AssessmentRow, events)
     return transaction
 
 

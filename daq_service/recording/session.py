@@ -17,6 +17,12 @@ from typing import Any
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
+from daq_service.assessment.results_in_file import results_in
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.live_figure import LiveFigure
+from daq_service.background.tiles import TileMaker, tile_record
+from daq_service.background.verification import IdleVerification
+from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import keep_experiment
@@ -24,26 +30,20 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
+from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.judgement.results import results_in
-from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import lost_catalogue
 from daq_service.processes.lost_sets import lost_sets
-from daq_service.processes.recorder_state import FAREWELLS, TELLING
+from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
 from daq_service.processes.worker import one_worker
-from daq_service.recording.backlog import PASSING
-from daq_service.recording.compaction import Compaction
-from daq_service.recording.idle_check import IdleCheck
-from daq_service.recording.live_picture import LivePicture
-from daq_service.recording.machine import MachineWatch
+from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
+from daq_service.recording.persistence import Helpers
 from daq_service.recording.rebuild import rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
-from daq_service.recording.safekeeping import Helpers
-from daq_service.recording.tiling import Tiling, tile_record
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
@@ -64,7 +64,7 @@ def record(
     *,
     stop: threading.Event,
     tell: Teller,
-    restarted_because: str = "",
+    restart_reason: str = "",
     linger: bool = False,
     left_alone: threading.Event | None = None,
     acknowledged: Callable[[int], None] = lambda shot_id: None,
@@ -117,7 +117,7 @@ def record(
     made_again = _made_again(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=tell))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
-        cause = _why_not_running(catalogue, last_beat, restarted_because)
+        cause = _why_not_running(catalogue, last_beat, restart_reason)
         epoch_ns = _experiment_epoch(catalogue, settings)
         keep_experiment(folder, catalogue.experiment_row())
         if made_again:
@@ -159,7 +159,7 @@ def record(
         rig, did = open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.rows(SetRow, limit=1)),
-            restarted=bool(restarted_because),
+            restarted=bool(restart_reason),
             heartbeat=heartbeat,
             stop=stop,
             waits_s=waits_for_rig_s,
@@ -178,7 +178,7 @@ def record(
         def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
             return partial(tile_record, folder, experiment, anchors_of(results)) if has_room() else None
 
-        compaction = Compaction(
+        compaction = SetFinalizer(
             folder,
             archive,
             start=compaction_worker,
@@ -190,11 +190,11 @@ def record(
         for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
             compaction.put(set_index)
         stack.callback(compaction.close)
-        idle_check = IdleCheck(
+        idle_check = IdleVerification(
             folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of, filed
         )
-        live = LivePicture(folder, rig.kind)
-        tiling = Tiling(
+        live = LiveFigure(folder, rig.kind)
+        tiling = TileMaker(
             folder,
             experiment,
             compaction,
@@ -202,7 +202,7 @@ def record(
             partial(results_in, catalogue),
             has_room=has_room,
         )
-        machine = MachineWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
+        machine = ComputerLoadWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
         recorder = Recorder(
             settings,
             archive,
@@ -229,7 +229,7 @@ def record(
         )
         stack.callback(recorder.leave)
         finished = recorder.run(
-            not_running_because=cause, opening=Opening(since_mono_ns=since_mono_ns, told=did)
+            not_running_reason=cause, opening=Opening(since_mono_ns=since_mono_ns, told=did)
         )
         if finished:
             tell("finished")
@@ -317,11 +317,11 @@ def _take_leave(
         log.warning("the stop is not stored: %s", error)
 
 
-def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restarted_because: str) -> str:
+def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
     """Why nobody recorded until now, as far as the supervisor, the catalogue or the heartbeat know."""
-    if restarted_because:
-        return f"the recorder {restarted_because}"
-    told = catalogue.last_told(*TELLING)
+    if restart_reason:
+        return f"the recorder {restart_reason}"
+    told = catalogue.last_service_event(*PROCESS_EVENTS)
     if told is not None and told.kind in FAREWELLS and (beat is None or beat.stage == "ended"):
         return f"the recorder was {FAREWELLS[told.kind][1].partition(';')[0]}"
     if beat is not None:

@@ -66,9 +66,9 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
     if rig == "simulated":
         yield DemoRig(settings=settings)
         return
-    from simulator.doubles.doors.control import running_doubles
-    from simulator.doubles.doors.library import client_environment
     from simulator.doubles.errors import DoublesError
+    from simulator.doubles.transports.control import running_doubles
+    from simulator.doubles.transports.library import client_environment
 
     transport = rig.removeprefix("daqmx-")
     with ExitStack() as stack:
@@ -191,7 +191,7 @@ def _on_rig(settings: Settings, tables: Mapping[str, Any], dropped: Sequence[str
 
 def _library_folders() -> list[Path]:
     """Folders of the built libraries: NI-DAQmx, and NI-SCOPE where its package is installed."""
-    from simulator.doubles.doors.library import build_library, why_unavailable
+    from simulator.doubles.transports.library import build_library, why_unavailable
 
     if reason := why_unavailable():
         raise UsageError(f"--rig daqmx-library cannot run here: {reason}; or take --rig daqmx-grpc")

@@ -180,7 +180,7 @@ class _Together:
 @contextmanager
 def _announced(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
     """Tell the doubles before each shot which one comes and at what hour: they know no experiment."""
-    from simulator.doubles.doors.control import DoublesControl
+    from simulator.doubles.transports.control import DoublesControl
     from simulator.experiment.corrosion import held_hour_h
 
     address = os.environ.get(CONTROL_VARIABLE)

@@ -131,10 +131,10 @@ def _prepare(settings_json: str, told: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
     if told is not None:
-        from simulator.numerics.machine_code import compilation_told
+        from simulator.numerics.machine_code import compilation_reported
 
         telling = ExitStack()
-        telling.enter_context(compilation_told(told.send))
+        telling.enter_context(compilation_reported(told.send))
         atexit.register(telling.close)  # kept as long as the process
     _specimen(settings_json)
 
@@ -173,9 +173,9 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
         # These imports take a while: the worker has started by now.
         from simulator.errors import SimulatorError
         from simulator.instruments import build_bench
-        from simulator.numerics.machine_code import compilation_told
+        from simulator.numerics.machine_code import compilation_reported
 
-        stack.enter_context(compilation_told(compiling))
+        stack.enter_context(compilation_reported(compiling))
         opening.preparing(BUILDING, True)
         try:
             transducers = transducers_of(settings)

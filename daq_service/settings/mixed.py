@@ -19,7 +19,7 @@ NEEDED: Mapping[str, tuple[Role, ...]] = {
     PULSE_ECHO: ("pulse_echo",),
 }
 """Roles that a position of each method needs."""
-KEYS_BESIDE: Mapping[Role, str] = {"supply": "drive", "climate": "air"}
+ROLE_KEYS: Mapping[Role, str] = {"supply": "drive", "climate": "air"}
 """Tables of what serves no position."""
 
 
@@ -122,8 +122,8 @@ class MixedRig(BaseModel):
 
     def key_of(self, name: str, role: Role) -> str:
         """Name the first key that makes an instrument what it is used as."""
-        if role in KEYS_BESIDE:
-            return f"rig.{KEYS_BESIDE[role]}.instrument"
+        if role in ROLE_KEYS:
+            return f"rig.{ROLE_KEYS[role]}.instrument"
         position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
         return f"rig.positions.{position}.{role}"
 

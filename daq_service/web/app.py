@@ -17,14 +17,16 @@ from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problem_schemas, problems
 from daq_service.web.answers.version import API_VERSION
+from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, context_of
-from daq_service.web.doors.entry import Doorkeeper
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
     annotation,
+    assessments,
     audit,
+    commands,
     environment,
     features,
     files,
@@ -34,7 +36,6 @@ from daq_service.web.routes import (
     info,
     metrics,
     notifications,
-    orders,
     page,
     record_files,
     report,
@@ -47,7 +48,6 @@ from daq_service.web.routes import (
     tokens,
     transducers,
     trends,
-    verdicts,
     waterfall,
     waveforms,
 )
@@ -63,7 +63,7 @@ RESOURCES = (
     set_waveforms,
     features,
     thickness,
-    verdicts,
+    assessments,
     trends,
     fits,
     waterfall,
@@ -72,7 +72,7 @@ RESOURCES = (
     alarms,
     annotation,
     guidance,
-    orders,
+    commands,
     stream,
     session,
     tokens,
@@ -118,18 +118,18 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(settings: Settings, data_folder: Path, *, asks_nobody: bool = False) -> FastAPI:
+def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False) -> FastAPI:
     """Build the service of one data folder; it reads, and writes only operator commands.
 
     Parameters
     ----------
     data_folder
         May still be empty: answers are 503 "no data yet" until the recorder has stored something.
-    asks_nobody
+    no_person
         No token is asked for: never of an application that listens on a port.
     """
     app = application_of_test(lifespan=_lifespan)
-    guard(app, Context(settings, data_folder, asks_nobody=asks_nobody))
+    guard(app, Context(settings, data_folder, no_person=no_person))
     return app
 
 
@@ -179,7 +179,7 @@ def guard(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    app.add_middleware(Doorkeeper, doors=context.doors, has_tests=has_tests)
+    app.add_middleware(AuthenticationMiddleware, doors=context.doors, has_tests=has_tests)
     app.add_middleware(assets.AssetsFirst)
     names = context.settings.web.names_elsewhere
-    app.add_middleware(RequestGuard, tell_refused=context.doors.tell_refused, names_elsewhere=names)
+    app.add_middleware(RequestGuard, audit_rejection=context.doors.audit_rejection, names_elsewhere=names)

@@ -13,25 +13,25 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.proof import proof_sentences
+from daq_service.alarms.evidence import proof_sentences
 from daq_service.archive import FolderSetReader
-from daq_service.archive.waterfall.picture import WaterfallReader
+from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError
+from daq_service.commands.audit import Audit
 from daq_service.errors import StorageError
-from daq_service.orders.audit import Audit
 from daq_service.processes import freshness
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.heartbeat import WEB_BEATS_EVERY_S, WEB_DEADLINE_S, WEB_FILE, Heartbeat
-from daq_service.processes.lost_catalogue import lost_because
+from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.notifications.service import Notifications
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, catalogue_lost, no_data_yet, not_found
-from daq_service.web.doors.entry import Doors
+from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.streams.hub import EventHub
-from daq_service.web.streams.live_pictures import LivePictures
+from daq_service.web.streams.live_figures import LiveFigures
 
 
 class CatalogueEvents:
@@ -71,7 +71,7 @@ class Context:
     ----------
     doors
         Of a service that has several tests; None: the test's own.
-    asks_nobody
+    no_person
         No token is asked for.
     open_streams
         How many streams of events that service has open; None: it has those of this test alone.
@@ -82,8 +82,8 @@ class Context:
         settings: Settings,
         data_folder: Path,
         *,
-        doors: Doors | None = None,
-        asks_nobody: bool = False,
+        doors: AccessPolicy | None = None,
+        no_person: bool = False,
         open_streams: Callable[[], int] | None = None,
     ) -> None:
         self.settings = settings
@@ -92,8 +92,8 @@ class Context:
         self.catalogue_access = CatalogueAccess(data_folder)
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)
-        self.live = LivePictures(data_folder / "live", settings.positions)
-        self.doors = doors or Doors(settings.web, data_folder, asks_nobody=asks_nobody)
+        self.live = LiveFigures(data_folder / "live", settings.positions)
+        self.doors = doors or AccessPolicy(settings.web, data_folder, no_person=no_person)
         self.audit = self.doors.audit if doors is None else Audit(data_folder)
         self.waterfall = WaterfallReader(self.archive)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
@@ -138,7 +138,7 @@ class Context:
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
-            if told := lost_because(self.data_folder):
+            if told := lost_reason(self.data_folder):
                 raise catalogue_lost(told) from None
             raise no_data_yet() from None
         if not self._has_data:

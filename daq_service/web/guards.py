@@ -51,9 +51,13 @@ class RequestGuard:
     """
 
     def __init__(
-        self, app: ASGIApp, *, names_elsewhere: frozenset[str] = frozenset(), tell_refused: Tell | None = None
+        self,
+        app: ASGIApp,
+        *,
+        names_elsewhere: frozenset[str] = frozenset(),
+        audit_rejection: Tell | None = None,
     ) -> None:
-        self._app, self._tell_refused = app, tell_refused
+        self._app, self._tell_refused = app, audit_rejection
         self._names = names_elsewhere | LOOPBACK.keys()
         self._streams_entering = asyncio.Semaphore(STREAMS_AT_ONCE)
 

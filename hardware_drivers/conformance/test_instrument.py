@@ -24,7 +24,7 @@ from hardware_drivers.instruments import ClimateProbe, Digitizer, PowerSupply, P
 from hardware_drivers.kinds import Kind, Opened, Opening
 from hardware_drivers.measurement import ShotKey
 
-NOBODY_ALLOWED_IT = "this moves a striker or fires a probe: give --solimon-strike, with a person at the rig"
+NOT_ALLOWED = "this moves a striker or fires a probe: give --solimon-strike, with a person at the rig"
 TIMEOUT_S = 30.0
 """Of a read: a person who strikes by hand needs some seconds."""
 
@@ -91,7 +91,7 @@ class OnTheBench:
     def allowed(self, pytestconfig: pytest.Config) -> None:
         """Skip what moves or fires something real unless somebody allowed it."""
         if pytestconfig.stash[DOUBLE] is None and not pytestconfig.getoption("--solimon-strike"):
-            pytest.skip(NOBODY_ALLOWED_IT)
+            pytest.skip(NOT_ALLOWED)
 
     @pytest.fixture
     def keys(self, chosen: Chosen) -> Keys:

@@ -28,7 +28,7 @@ LARGEST_DUTY = 0.25
 OWNED = "owner: "
 """How the driver's errors name who holds a board (`hardware_drivers.daqmx.translation`)."""
 
-TOLD_OF_A_BOARD = (
+BOARD_FACTS = (
     "serial", "name", "product", "max_rate_hz", "temperature_c", "calibration_date",
     "calibration_temperature_c",
 )  # fmt: skip
@@ -138,7 +138,7 @@ def _wanted(parameters: DaqmxParameters) -> set[int]:
 def _facts(board: BoardFacts | None) -> dict[str, float | str | bool | None]:
     if board is None:
         return {}
-    return {name: getattr(board, name) for name in TOLD_OF_A_BOARD}
+    return {name: getattr(board, name) for name in BOARD_FACTS}
 
 
 def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:

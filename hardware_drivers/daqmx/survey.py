@@ -155,7 +155,7 @@ class _Look:
             )
         for facts in self._facts:
             if facts.ours:
-                self._judge_board(facts)
+                self._assess_board(facts)
 
     def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
         """Each board that the driver knows, by serial number."""
@@ -193,7 +193,7 @@ class _Look:
         self._facts.append(facts)
         return f"{board.product} as {board.name}, up to {facts.max_rate_hz:.10g} Hz a channel"
 
-    def _judge_board(self, facts: BoardFacts) -> None:
+    def _assess_board(self, facts: BoardFacts) -> None:
         subject = f"board {facts.serial}"
         if facts.simulated:
             refused = facts.ours and not self._rehearsal

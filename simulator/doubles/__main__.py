@@ -15,11 +15,11 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description, read_description
-from simulator.doubles.doors.control_server import ControlServer
-from simulator.doubles.doors.grpc_front import GrpcFront, why_unavailable
-from simulator.doubles.doors.server import WireServer
+from simulator.doubles.device_model import Brain
+from simulator.doubles.transports.control_server import ControlServer
+from simulator.doubles.transports.grpc_front import GrpcFront, why_unavailable
+from simulator.doubles.transports.server import WireServer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

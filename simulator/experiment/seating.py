@@ -23,7 +23,7 @@ from simulator.experiment.processes import (
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
-from simulator.parameters.nuisance import NUISANCE, NuisanceParameters
+from simulator.parameters.environmental_variability import NUISANCE, NuisanceParameters
 
 LIQUID_LEVELS = 4
 """The level falls in so many steps: the plate is reduced once for each."""

@@ -45,7 +45,7 @@ class _Compilations(event.Listener):
 
 
 @contextmanager
-def compilation_told(tell: Callable[[bool], None]) -> Iterator[None]:
+def compilation_reported(tell: Callable[[bool], None]) -> Iterator[None]:
     """Call ``tell`` with True when machine code begins to be made, with False when it is there.
 
     It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.

@@ -19,8 +19,8 @@ from annotated_types import Ge, Gt, Le, Lt
 from hardware_drivers.bounds import bounded, check_pair
 from simulator.parameters.echo import EchoParameters as EchoParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
+from simulator.parameters.environmental_variability import NuisanceLevel
 from simulator.parameters.faults import FaultParameters
-from simulator.parameters.nuisance import NuisanceLevel
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
 TWIN_VERSION = "1"

@@ -16,7 +16,7 @@ from support.waiting import until
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.corrosion_drive.supply_state import kept_now, write_kept
 from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
@@ -203,8 +203,8 @@ def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
             set_index=2,
             payload={},
         )
-        verdicts = [filled.verdict("B", index, filled.due[index].due_h) for index in range(3)]
-        filled.catalogue.commit_set(SetCommit(verdicts=verdicts, events=[event]))
+        assessments = [filled.assessment("B", index, filled.due[index].due_h) for index in range(3)]
+        filled.catalogue.commit_set(SetCommit(assessments=assessments, events=[event]))
         expect(page.locator("#distance")).to_have_attribute("data-points", "3")
         page.close()  # it reads fits, too
     filled.close()
@@ -259,7 +259,7 @@ def test_finish_now_becomes_an_order_or_expires_on_the_page(filled, service, ope
         page.get_by_role("button", name="Run to the end").click()
 
     with monkeypatch.context() as late:
-        late.setattr("daq_service.orders.deadline.left_now_s", lambda row: 0.0)
+        late.setattr("daq_service.commands.deadline.left_now_s", lambda row: 0.0)
         order()
         expect(notice).to_contain_text("finish_now expired: not carried out, and nobody will")
         expect(page.locator("#finish")).to_have_text("Finish now")
@@ -520,10 +520,10 @@ def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service
 
 
 def test_a_wall_that_is_named_stands_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
-    verdict = filled.verdict("C", N_SETS - 1, 30.0)
+    assessment = filled.assessment("C", N_SETS - 1, 30.0)
     named = {"chart": 4.0 * LIMIT_CHART, "chart_alarm": True, "cause": "wall", "cause_probability": 0.972}
     filled.add_alarm("C", N_SETS - 1)
-    filled.catalogue.commit_set(SetCommit(verdicts=[replace(verdict, set_index=N_SETS, **named)]))
+    filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=N_SETS, **named)]))
     page = open_page(service.url)
     tile, sound = (page.locator(f'#tiles [data-position="{position}"]') for position in "CD")
     expect(tile).to_have_attribute("data-state", "alarm")

@@ -6,7 +6,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.tokens import create_token
 
 pytestmark = pytest.mark.browser
 

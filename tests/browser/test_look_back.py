@@ -12,11 +12,11 @@ from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 from support.waiting import until
 
+from daq_service.assessment.baseline_lifecycle import renewed
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.kept import kept_now, write_kept
-from daq_service.judgement.life import renewed
+from daq_service.corrosion_drive.supply_state import kept_now, write_kept
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -33,7 +33,7 @@ RENEWED = 50
 def filled(tmp_path_factory):
     """One test that goes on from test to test: each adds sets, and counts from what is there."""
     folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
-    judged = folder.verdict
+    judged = folder.assessment
 
     def with_an_outlier(position, index, hour):
         row = judged(position, index, hour)
@@ -43,7 +43,7 @@ def filled(tmp_path_factory):
             return row
         return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
 
-    folder.verdict = with_an_outlier
+    folder.assessment = with_an_outlier
     for index in range(N_SETS):
         # The ghost is some set of the baseline: all of these have their records.
         folder.add_set(index, stored=index < 48 or index in STORED)
@@ -95,7 +95,7 @@ class TestSets:
         )
         with service.client() as api:
             (feature,) = api.get(f"/api/v1/features?position=B&set_index={LAST}").json()["items"]
-            (verdict,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
+            (assessment,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
         assert [mark["name"] for mark in shown["marks"]] == ["ISW", "PSW"]
         assert shown["marks"][1]["time_s"] == feature["psw_time_s"]
         assert set(shown["windows_s"]) == {"ISW", "PSW", "SSW"}
@@ -103,9 +103,9 @@ class TestSets:
         assert low < feature["psw_time_s"] < high
         for text in (
             f"{1e6 * feature['tof_pp_s']:.3f} µs",
-            f"{verdict['distance_squared']:.3g}",
+            f"{assessment['distance_squared']:.3g}",
             "predictive F",
-            *verdict["limits"],  # every one by its name
+            *assessment["limits"],  # every one by its name
             "21.5 °C",
             f"set_{LAST:06d}",
             "physics twin",

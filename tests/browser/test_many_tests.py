@@ -11,7 +11,7 @@ from support.waiting import until
 
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.settings.tree import Settings
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.multi_test.app import create_app_of_many
 
 pytestmark = pytest.mark.browser
 

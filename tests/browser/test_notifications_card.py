@@ -5,8 +5,8 @@ from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import expect
 from support.filled_folder import FilledFolder
 from support.receivers import http_receiver
+from support.reported_alarms import notifying
 from support.served_web import served
-from support.told_alarms import notifying
 
 pytestmark = pytest.mark.browser
 

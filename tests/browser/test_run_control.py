@@ -10,9 +10,9 @@ from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
-from daq_service.orders.audit import Audit
+from daq_service.commands.audit import Audit
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.tokens import create_token
 
 pytestmark = pytest.mark.browser
 
@@ -173,9 +173,9 @@ def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, 
         "limits": None,
     }
     refused = frozen_baseline("D", id=4, state="proposed", limit_f=None, limits=None, limit_reason=why)
-    verdict = replace(filled.verdict("D", 2, 1.5), **nothing, in_baseline=False, reason=why)
+    assessment = replace(filled.assessment("D", 2, 1.5), **nothing, in_baseline=False, reason=why)
     filled.catalogue.commit_set(SetCommit(baselines=[refused]))
-    filled.catalogue.commit_set(SetCommit(verdicts=[replace(verdict, set_index=3)]))
+    filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=3)]))
     page = open_page(service.url, name="ann")
     tile, card = page.locator('#tiles [data-position="D"]'), page.locator("#baseline")
     expect(tile).to_contain_text("Not judged")

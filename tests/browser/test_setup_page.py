@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 from support.browser_pages import PHONE, expect
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, quick_description
 from support.pseudo_terminal import on_terminal
 from support.waiting import until
@@ -16,7 +16,7 @@ from support.waiting import until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
 from simulator.doubles.chassis.crosstalk import Crosstalk
-from simulator.doubles.doors.library import build_library, client_environment, why_unavailable
+from simulator.doubles.transports.library import build_library, client_environment, why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = [

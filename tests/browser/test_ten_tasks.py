@@ -15,7 +15,7 @@ from support.served_web import served
 from support.waiting import until
 
 from daq_service.clock import parse_utc
-from daq_service.orders.audit import Audit
+from daq_service.commands.audit import Audit
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -44,7 +44,7 @@ GO_TO = """view => {
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("tasks"), Settings(), shots_per_set=SHOTS)
-    judged = folder.verdict
+    judged = folder.assessment
 
     def with_outliers_at_c(position, index, hour):
         row = judged(position, index, hour)
@@ -52,7 +52,7 @@ def filled(tmp_path_factory):
         judgement = outlier if index >= N_BASELINE else None
         return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=judgement)
 
-    folder.verdict = with_outliers_at_c
+    folder.assessment = with_outliers_at_c
     for index in range(N_SETS):
         # Beside C's set the page draws one of the baseline: the first, where all have one distance.
         folder.add_set(index, stored=index == 0 or index > 40)
@@ -124,8 +124,8 @@ def do(page, step):
 
 
 def is_the_shot_of_the_first_outlier(page, api, filled):
-    verdicts = api("/verdicts?position=C&limit=1000").json()["items"]
-    first = min(row["set_index"] for row in verdicts if row["outlier"])
+    assessments = api("/verdicts?position=C&limit=1000").json()["items"]
+    first = min(row["set_index"] for row in assessments if row["outlier"])
     expect(page.locator("#set")).to_have_attribute("data-set", f"C {first}")
     assert query(page) == {"position": "C", "set": str(first), "shot": "0"}
     shown = until(lambda: dashboard(page, "set"), "its records are drawn")

@@ -11,7 +11,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
 
-from daq_service.archive.waterfall import picture
+from daq_service.archive.waterfall import image as picture
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow, FeatureRow, SetRow
 from daq_service.settings.tree import Settings
@@ -376,7 +376,9 @@ def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_pat
             set_index=0,
             payload={},
         )
-        filled.catalogue.commit_set(SetCommit(verdicts=[filled.verdict("B", 0, due.due_h)], events=[event]))
+        filled.catalogue.commit_set(
+            SetCommit(assessments=[filled.assessment("B", 0, due.due_h)], events=[event])
+        )
         until(lambda: shown(page)["ready"], "the difference is drawn once there is one")
         assert shown(page)["header"]["baseline_sets"] == 1
     filled.close()

@@ -10,7 +10,7 @@ from daq_service.web.routes.stream import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
-TELLERS = ("recording", "judgement", "orders", "alarms")
+TELLERS = ("recording", "background", "assessment", "commands", "alarms")
 
 
 def trees(*rooms):

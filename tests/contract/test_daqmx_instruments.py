@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description, why_no
 
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract

@@ -18,12 +18,12 @@ from pathlib import Path
 import pytest
 from fastapi.routing import APIRoute
 
-from daq_service.judgement.methods import METHODS
+from daq_service.assessment.methods import METHODS
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.models import AlarmProof
 from daq_service.web.app import RESOURCES, create_app
-from daq_service.web.many.app import RESOURCES as OF_SEVERAL
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
+from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.routes import health, metrics
 from daq_service.web.routes.description import examples, holds_numbers
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 from support.archived_sets import make_set
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import meet, parameters_of, quick_description, why_no
 from support.filed_archive import FiledArchive
 from support.serial_rig import NO_TERMINALS, SerialRig

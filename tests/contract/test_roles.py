@@ -8,12 +8,12 @@ import pytest
 from support.filled_folder import FilledFolder
 from support.served_web import served
 
-from daq_service.orders.every import KINDS
+from daq_service.commands.registry import KINDS
 from daq_service.settings.tree import Settings
 from daq_service.web.app import RESOURCES
-from daq_service.web.doors.roles import OPERATIONS, ORDERS, ROLES
-from daq_service.web.doors.tokens import create_token, revoke_token
-from daq_service.web.many.app import RESOURCES as OF_SEVERAL
+from daq_service.web.auth.roles import OPERATIONS, ORDERS, ROLES
+from daq_service.web.auth.tokens import create_token, revoke_token
+from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
 from daq_service.web.routes import report
 from daq_service.web.routes.admission import operation_of
 
@@ -78,7 +78,7 @@ def filled_in(path):
 
 
 def test_every_operation_and_every_kind_of_order_has_a_role():
-    """A new one is one line of `daq_service/web/doors/roles.py`."""
+    """A new one is one line of `daq_service/web/auth/roles.py`."""
     resources = (*RESOURCES, *OF_SEVERAL)
     routes = {operation_of(route) for resource in resources for route in resource.router.routes}
     assert (CALLS.keys() | routes) - OPERATIONS.keys() == set()

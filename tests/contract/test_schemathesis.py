@@ -17,8 +17,8 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.roles import ROLES
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.roles import ROLES
+from daq_service.web.auth.tokens import create_token
 
 CONFIGURATION = Path(__file__).with_name("schemathesis.toml")
 DOCUMENT = Path(__file__).with_name("openapi.json")

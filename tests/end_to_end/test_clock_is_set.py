@@ -34,5 +34,5 @@ def test_a_recorder_goes_on_with_the_time_of_the_one_before(tmp_path, monkeypatc
     shots = sorted(rows["shots"], key=lambda shot: shot.sequence)
     assert [shot.utc_ns for shot in shots] == sorted(shot.utc_ns for shot in shots)
     with open_catalogue(tmp_path) as catalogue:
-        step = catalogue.last_told("clock_step")
+        step = catalogue.last_service_event("clock_step")
     assert step.payload["step_s"] == by_h * 3600.0

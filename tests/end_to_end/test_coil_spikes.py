@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     CHAIN,
     QUICK_TWIN,
@@ -41,7 +41,7 @@ from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
-from simulator.doubles.doors.control import RunningDoubles
+from simulator.doubles.transports.control import RunningDoubles
 from simulator.parameters.electronics import NoiseParameters
 
 DROP_M = 5e-3

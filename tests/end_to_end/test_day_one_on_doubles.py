@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daqmx_brains import in_a_process, running_brain
+from support.daqmx_models import in_a_process, running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
@@ -25,8 +25,8 @@ from support.niscope_rig import preload, why_no_niscope
 from support.serial_rig import NO_TERMINALS, SerialRig
 from support.waiting import ended
 
-from simulator.doubles.doors.library import why_unavailable
 from simulator.doubles.serial.supply import Cell
+from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
 ROOT = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
@@ -38,8 +38,8 @@ from daq_service.settings.file import config_file, load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.client_lock import ClientLock
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW, Description
-from simulator.doubles.doors.control import RunningDoubles
-from simulator.doubles.doors.library import why_unavailable
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import CHAIN, HOUR_H, PLATE, QUICK_TWIN, coil_pulses_s, meet, quick_description, why_no
 from support.small_experiment import run
 from support.stored_files import read_set, set_files

@@ -63,7 +63,7 @@ def test_the_next_recorder_makes_it_again_and_goes_on_from_the_same_hour_0(machi
     with open_catalogue(begun) as catalogue:
         states = [row.state for row in catalogue.rows(SetRow, position="B")]
         assert states == ["done", "done", "missed", "done", "done", "done"]
-        told = catalogue.last_told("catalogue_rebuilt")
+        told = catalogue.last_service_event("catalogue_rebuilt")
         assert (told.payload["sets"], told.payload["warnings"]) == (2, [])
         assert all(len(row.file_sha256) == 64 for row in catalogue.rows(SetRow) if row.file)
     whole = table_rows(begun)

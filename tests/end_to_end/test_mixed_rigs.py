@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from pydantic import TypeAdapter
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import coil_pulses_s, meet, parameters_of, quick_description, why_no
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED, Script, begin_script
@@ -29,7 +29,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.doors.control import RunningDoubles
+from simulator.doubles.transports.control import RunningDoubles
 
 HAMMER, SCOPE = {"kind": "scripted-hammer"}, {"kind": "scripted-scope"}
 SHOTS = 3

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.niscope_rig import preload
 from support.stored_files import read_set, set_files
 from support.waiting import happened
@@ -24,9 +24,9 @@ from daq_service.processes.supervisor import Supervisor
 from daq_service.recording.session import record
 from daq_service.rig.doubles import DemoRig, running_rig
 from daq_service.rig.open_rig import CONTROL_VARIABLE, open_rig
-from simulator.doubles.doors.control import DoublesControl
-from simulator.doubles.doors.grpc_front import why_unavailable as why_no_grpc
-from simulator.doubles.doors.library import why_unavailable as why_no_library
+from simulator.doubles.transports.control import DoublesControl
+from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
+from simulator.doubles.transports.library import why_unavailable as why_no_library
 
 REASONS = {"daqmx-library": why_no_library(), "daqmx-grpc": why_no_grpc()}
 NI_RIGS = [
@@ -55,7 +55,7 @@ def configuration(running: DemoRig, folder: Path) -> Path:
 def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) -> Iterator[DemoRig]:
     """Run a rig whose libraries this very process meets; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.doubles.doors.control.running_doubles", running_brain)
+        patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
         with running_rig(rig, SMALL) as running:
             if rig == "daqmx-library":
                 preload("nidaqmx")

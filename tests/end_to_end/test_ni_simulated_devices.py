@@ -12,19 +12,19 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import board, meet, parameters_of, quick_description
 from support.small_experiment import run
 from support.stepped_clock import SteppedClock
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, SetRow, ShotRow, VerdictRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ShotRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.errors import RigError
 from daq_service.settings.file import load_settings
-from simulator.doubles.doors.control import RunningDoubles
-from simulator.doubles.doors.library import why_unavailable
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import why_unavailable
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
 
@@ -113,7 +113,7 @@ def test_a_recorder_rehearses_and_nothing_is_good_judged_or_a_baseline(
         assert [(row.position, row.n_sets, row.limit_f, row.limit_paper) for row in baselines] == [
             (position, 0, None, None) for position in "BCD"
         ]
-        assert {row.outlier for row in catalogue.rows(VerdictRow)} <= {None}
+        assert {row.outlier for row in catalogue.rows(AssessmentRow)} <= {None}
         assert catalogue.rows(AlarmRow) == [], "what is made up is no damage either"
     told = read_set(set_files(folder)[0]).shots[0]
     assert told.settings["calibration_date"] == ""

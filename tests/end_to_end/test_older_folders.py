@@ -50,7 +50,7 @@ def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
     Later ones flag more and measure the same: everything else of these folders can be gone on with.
     """
     # In this order: what is imported here for the first time must find the true version.
-    for module in ("daq_service.judgement.solitary_wave", "analysis.waves.features"):
+    for module in ("daq_service.assessment.solitary_wave", "analysis.waves.features"):
         monkeypatch.setattr(f"{module}.EXTRACTOR_VERSION", "1.1")
 
     def copy(commit: str) -> Path:

@@ -23,9 +23,9 @@ from daq_service.archive import FolderArchive
 from daq_service.archive.waterfall.tiles import n_bytes
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow, ShotRow
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
-from daq_service.cli.offline.twin_line import judged_sets
+from daq_service.cli.offline.twin_line import assessed_sets
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -169,16 +169,16 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
 
 
 def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
-    rows, judged = rows_of(finished), list(judged_sets(small_settings(), "B"))
-    of_sets = [found.assessment.features[-1] for found in judged]
+    rows, judged = rows_of(finished), list(assessed_sets(small_settings(), "B"))
+    of_sets = [found.position_result.features[-1] for found in judged]
     stored = [row for row in rows["set_features"] if row.position == "B"]
     names = {"id": None, "sequence": None}
     assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
-    verdicts = {row.set_index: row for found in judged for row in found.assessment.verdicts}
+    assessments = {row.set_index: row for found in judged for row in found.position_result.assessments}
     told = [row for row in rows["verdicts"] if row.position == "B"]
     assert len(told) == SETS
     for row in told:
-        ours = verdicts[row.set_index]
+        ours = assessments[row.set_index]
         assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
         assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
 
@@ -212,7 +212,7 @@ def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) ->
     sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
     # As without nuisance.
     assert built_set_bytes(settings) * len(sizes) == pytest.approx(sum(sizes), rel=0.05)
-    (struck,) = (found for found in judged_sets(settings, "B") if found.due.set_index == 1)
+    (struck,) = (found for found in assessed_sets(settings, "B") if found.due.set_index == 1)
     stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
     assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
     assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9
@@ -491,7 +491,7 @@ def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tm
         small_settings(schedule={"end_h": 4.0}),
         tmp_path,
         rig=late_rig,
-        restarted_because="was killed by signal 9",
+        restart_reason="was killed by signal 9",
     )
     with open_catalogue(tmp_path) as catalogue:
         rows = catalogue.rows(SetRow, position="D")
@@ -561,12 +561,12 @@ def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:
     assert run(pair_settings(baseline={"hours": 3.0}, schedule={"end_h": 3.5}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
         baseline = catalogue.baseline("B")
-        verdict = catalogue.rows(VerdictRow, position="B")[-1]
+        assessment = catalogue.rows(AssessmentRow, position="B")[-1]
     assert baseline is not None
     assert (baseline.limit_f, baseline.limit_paper, baseline.n_sets) == (None, None, 6)
     assert "6 sets" in baseline.limit_reason
-    assert (verdict.outlier, verdict.distance_squared) == (None, None)
-    assert verdict.reason == baseline.limit_reason
+    assert (assessment.outlier, assessment.distance_squared) == (None, None)
+    assert assessment.reason == baseline.limit_reason
 
 
 def test_a_test_carried_on_for_longer_has_the_same_rows(pair: dict[str, Any], tmp_path: Path) -> None:

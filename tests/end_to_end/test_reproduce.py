@@ -22,9 +22,9 @@ from support.small_experiment import SETS, run, small_settings
 from support.stored_files import read_waveform, set_files
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow
-from daq_service.cli.reproduce.causes import cause_of
+from daq_service.catalogue.rows import AssessmentRow, FeatureRow, ThicknessRow
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE
+from daq_service.cli.reproduce.diagnosis import cause_of
 from daq_service.cli.reproduce.item import Item, Job
 from daq_service.cli.reproduce.items import ITEMS, chosen_items
 from daq_service.cli.reproduce.models import impact_over_inelasticity
@@ -180,12 +180,12 @@ def test_csv_holds_the_catalogues_numbers(whole, small: Path):
         table = columns(out / "fig15.csv")
         assert [float(x) for x in table["travel_time_s"]] == echoes["travel_time_s"]
         assert [float(x) for x in table["thickness_m"]] == echoes["thickness_m"]
-        verdicts = catalogue.columns(VerdictRow, ["distance_squared", "outlier"], position="B")
+        assessments = catalogue.columns(AssessmentRow, ["distance_squared", "outlier"], position="B")
         table = columns(out / "fig14.csv")
         rows = [k for k, name in enumerate(table["position"]) if name == "B"]
-        assert [float(table["distance_squared"][k]) for k in rows] == verdicts["distance_squared"]
+        assert [float(table["distance_squared"][k]) for k in rows] == assessments["distance_squared"]
         told = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
-        assert told == verdicts["outlier"]
+        assert told == assessments["outlier"]
 
 
 def test_the_equations_computed_again_agree(whole):

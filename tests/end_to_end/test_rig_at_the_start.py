@@ -94,7 +94,7 @@ def test_whatever_the_rig_says_is_waited_for_where_nobody_stands_beside_it(tmp_p
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     again = "was killed by signal 9"
     settings, rig = small_settings(schedule={"end_h": END_H}), Unwilling(GONE, WRONG)
-    assert record(settings, tmp_path, rig=rig, restarted_because=again)
+    assert record(settings, tmp_path, rig=rig, restart_reason=again)
     assert rig.refusals == []
 
 

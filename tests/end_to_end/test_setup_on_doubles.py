@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, meet, quick_description, why_no
 from support.small_experiment import run
 from support.stored_files import read_set, set_files
@@ -28,8 +28,8 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.settings.file import load_settings
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import SLOW
-from simulator.doubles.doors.control import RunningDoubles
-from simulator.doubles.doors.library import why_unavailable
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")

@@ -27,8 +27,8 @@ from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.channel import connect
 from daq_service.corrosion_drive.guard import LOOK_EVERY_S, DriveGuard
-from daq_service.corrosion_drive.kept import address_of, look_at_drive
 from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.corrosion_drive.supply_state import address_of, look_at_drive
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
     DRIVE_FILE,
@@ -192,7 +192,7 @@ class Test:
     def run_switched_on(self, settings: Settings) -> None:
         """Record in real time until a person has switched the supply on and its charge is stored."""
         with self.recording(settings):
-            until(self.has_begun, "the recorder")
+            until(self.has_started, "the recorder")
             self.order("supply_on")
             until(lambda: self.answers() == ["done"], "the answer")
             until(self.has_charge, "a set with its charge")
@@ -204,7 +204,7 @@ class Test:
         with open_catalogue(self.folder) as catalogue:
             return {row.kind: row for row in catalogue.rows(AlarmRow)}
 
-    def has_begun(self) -> bool:
+    def has_started(self) -> bool:
         """The recorder listens: it has told of a first set."""
         try:
             with open_catalogue(self.folder) as catalogue:
@@ -309,7 +309,7 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
     settings = test.settings(off_at_end=False)
     with test.recording(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
-        until(test.has_begun, "the recorder")
+        until(test.has_started, "the recorder")
         test.order("supply_on")
         until(lambda: test.answers() == ["done"], "the answer")
         first = test.drive()
@@ -366,7 +366,7 @@ def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Po
     command += ["--no-web"] if word == "run" else []
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
-            until(test.has_begun, "the recorder")
+            until(test.has_started, "the recorder")
             test.order("supply_on")
             until(lambda: test.answers() == ["done"], "the answer")
             yield process
@@ -471,7 +471,7 @@ def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_
 def energised(test: Test, **supply: Any) -> Iterator[None]:
     """A recorder in real time whose supply a person has switched on."""
     with test.recording(test.settings(**supply)):
-        until(test.has_begun, "the recorder")
+        until(test.has_started, "the recorder")
         test.order("supply_on")
         until(lambda: test.answers() == ["done"], "the answer")
         yield
@@ -506,7 +506,7 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
 
     supply._switch = switch_and_fall_silent  # type: ignore[method-assign]
     with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
-        until(test.has_begun, "the recorder")
+        until(test.has_started, "the recorder")
         test.order("supply_on")
         until(lambda: test.answers() == ["refused"], "the answer")
         assert supply.on

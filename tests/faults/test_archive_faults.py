@@ -18,7 +18,7 @@ from support.stored_files import read_set, set_files
 
 from daq_service import shared_file
 from daq_service.archive import ArchiveWriteError, FolderArchive
-from daq_service.archive.compaction import compact_set
+from daq_service.archive.finalize_set import compact_set
 
 CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync", "close"]
 

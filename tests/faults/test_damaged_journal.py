@@ -11,7 +11,7 @@ from daq_service.archive import FolderSetReader
 from daq_service.archive.journal.frames import HEADER, Kind, frames
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
-from daq_service.cli.keeping.verify import verify_folder
+from daq_service.cli.maintenance.verify import verify_folder
 from hardware_drivers.measurement import purpose_of
 
 SETS, SHOTS = 3, 3

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from nidaqmx.errors import DaqResourceWarning
-from support.daqmx_brains import RunningBrain, in_a_process, running_brain
+from support.daqmx_models import RunningBrain, in_a_process, running_brain
 from support.daqmx_rig import (
     HOUR_H,
     QUICK_PULSE_S,
@@ -477,7 +477,7 @@ def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
 
 def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> None:
     """Child: take the line with a call in it that never returns."""
-    from simulator.doubles.doors.control import DoublesControl
+    from simulator.doubles.transports.control import DoublesControl
 
     with pytest.MonkeyPatch.context() as patch, DoublesControl(control) as connected:
         brain = RunningBrain(wire=wire, grpc="", control=connected, process=None)

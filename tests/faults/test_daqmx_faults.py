@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.daqmx_brains import context, in_a_process, running_brain
+from support.daqmx_models import context, in_a_process, running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,

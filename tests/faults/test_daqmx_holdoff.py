@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     READ_TIMEOUT_S,

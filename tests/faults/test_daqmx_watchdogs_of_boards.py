@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import board, meet, parameters_of, quick_description, take, why_no, wired
 
 from hardware_drivers.daqmx import WatchdogWiring, open_daqmx

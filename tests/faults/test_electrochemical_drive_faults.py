@@ -5,7 +5,7 @@ from support.serial_rig import NO_TERMINALS, SerialRig
 
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
+from daq_service.corrosion_drive.drive import SupplyLogger, summary
 from simulator.doubles.serial.supply import Cell
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
@@ -23,7 +23,7 @@ class DriveRig(SerialRig):
 
     def new_drive(self, state):
         self.climate_log = ClimateLog(self.climate, self.clock, self.climate_parameters)
-        return ElectrochemicalDrive(self.supply, self.clock, self.supply_parameters, state)
+        return SupplyLogger(self.supply, self.clock, self.supply_parameters, state)
 
     def summary(self):
         return summary(self.climate_log.added_to(self.drive.row(0, 0.0)))

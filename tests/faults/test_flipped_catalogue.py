@@ -16,7 +16,7 @@ from support.table_rows import Rows, table_rows
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.damage import catalogue_damage
+from daq_service.catalogue.corruption import catalogue_corruption
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import parsed
 from daq_service.catalogue.rows import Row
@@ -64,7 +64,7 @@ def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str
     """Rows that stand otherwise in a damaged file, by whatever still reads it, and are not named."""
     path = folder / FILE_NAME
     path.write_bytes(content)  # a start may have mended what lay beside
-    named = {(damage.table, damage.row_id) for damage in catalogue_damage(folder)}
+    named = {(damage.table, damage.row_id) for damage in catalogue_corruption(folder)}
     unnamed = []
     for table, rows in whole.items():
         if {(None, None), (table, None)} & named:

@@ -9,13 +9,13 @@ from dataclasses import replace
 from multiprocessing import Pipe
 
 import pytest
-from support.daqmx_brains import in_a_process
+from support.daqmx_models import in_a_process
 from support.small_experiment import SMALL, rows_of, run, small_settings
 from support.waiting import ended, until
 
 from daq_service.archive import FolderSetReader
 from daq_service.archive.journal.reader import read_journal
-from daq_service.cli.keeping.verify import verify_folder
+from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.cli.run import child_plans
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text, prepare_data_folder

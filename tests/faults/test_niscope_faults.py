@@ -14,7 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import support.niscope_rig as rig
-from support.daqmx_brains import in_a_process, running_brain
+from support.daqmx_models import in_a_process, running_brain
 from support.waiting import happened, until
 
 from hardware_drivers.errors import (
@@ -26,8 +26,8 @@ from hardware_drivers.errors import (
 )
 from hardware_drivers.niscope.pulse_echo import open_niscope
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
-from simulator.doubles.brain import Brain
-from simulator.doubles.doors.library import client_environment
+from simulator.doubles.device_model import Brain
+from simulator.doubles.transports.library import client_environment
 
 pytestmark = rig.needs_niscope
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from daq_service.processes.child import tell_supervisor
+from daq_service.processes.child import notify_supervisor
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 
@@ -171,7 +171,7 @@ def test_a_line_that_is_no_message_is_logged_and_skipped(
 
 
 def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
-    tell_supervisor("listening", url="http://127.0.0.1:1/")
+    notify_supervisor("listening", url="http://127.0.0.1:1/")
     assert json.loads(capfd.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}
 
 
@@ -179,9 +179,9 @@ def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
 def test_a_supervisor_that_stands_still_keeps_nobody_waiting() -> None:
     """Stopped by a debugger, say: the pipe is full after some hundred lines."""
     script = """
-from daq_service.processes.child import tell_supervisor
+from daq_service.processes.child import notify_supervisor
 for _ in range(3000):
-    tell_supervisor("beat", doing="waiting for set 17")
+    notify_supervisor("beat", doing="waiting for set 17")
 """
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as child:
         assert child.wait(60.0) == 0

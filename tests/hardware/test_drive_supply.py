@@ -16,7 +16,7 @@ import pytest
 from daq_service.cli.doctor.check import stamp_now
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.corrosion_drive.drive import SupplyLogger
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -153,7 +153,7 @@ def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load
     """As a hole or a short circuit would: the drive itself reads, trips, switches off and stays off."""
     parameters = replace(load.parameters, interlock_current_a=0.5 * load.current_a, log_interval_s=0.1)
     clock = WallClock()
-    drive = ElectrochemicalDrive(supply, clock, parameters, DriveState())
+    drive = SupplyLogger(supply, clock, parameters, DriveState())
     drive.energise("pytest -m hardware", voltage_v=load.voltage_v, current_limit_a=2.0 * load.current_a)
     for _ in range(TRIPS_WITHIN):
         drive.tick()

@@ -27,10 +27,10 @@ from daq_service.archive import (
     FolderSetReader,
     SetReference,
 )
+from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow, ShotRow
-from daq_service.judgement.transaction import shot_row
 
 INDICES = range(SET_INDEX, SET_INDEX + 5)
 RECORDS = {index: other_set(make_set(), index) for index in INDICES}

@@ -25,9 +25,9 @@ from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
 from daq_service.corrosion_drive.guard import DriveGuard
-from daq_service.corrosion_drive.kept import Address, own_drive
 from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import RemoteDrive, answered_within_s
+from daq_service.corrosion_drive.supply_state import Address, own_drive
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
 from hardware_drivers.errors import ConnectionLostError

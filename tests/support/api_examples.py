@@ -10,10 +10,10 @@ from typing import Any
 import httpx
 
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.words import EXAMPLES
+from daq_service.web.answers.vocabulary import EXAMPLES
 from daq_service.web.app import create_app
-from daq_service.web.doors.tokens import create_token
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.auth.tokens import create_token
+from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.routes.description import found
 from support.filled_folder import FilledFolder
 from support.served_web import served_app

@@ -28,13 +28,13 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
+    AssessmentRow,
     EventRow,
     FeatureRow,
     Row,
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
     values,
 )
 from daq_service.clock import Before, SimulatedClock, parse_utc
@@ -192,7 +192,7 @@ def outcome(folder: Path, kind: str) -> Outcome:
 
 def purpose_of_all(table: type[Row]) -> Filters:
     """Ask for sets of the plan and beside it, where the table has sets."""
-    return {"purpose": "any"} if table in (SetRow, ShotRow, FeatureRow, ThicknessRow, VerdictRow) else {}
+    return {"purpose": "any"} if table in (SetRow, ShotRow, FeatureRow, ThicknessRow, AssessmentRow) else {}
 
 
 _READ: dict[bytes, dict[int, bytes]] = {}

@@ -20,8 +20,8 @@ from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import Counts, ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
 from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring
-from simulator.doubles.doors.control import RunningDoubles
-from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 from simulator.parameters.experiment import ScatterParameters, TwinParameters
@@ -100,7 +100,7 @@ def why_no(transport: str) -> str:
     """Say why this transport cannot be tested here, empty if it can."""
     if transport == "library":
         return why_unavailable()
-    from simulator.doubles.doors.grpc_front import why_unavailable as why_no_grpc
+    from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
 
     return why_no_grpc()
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import (
     SIMULTANEOUS_16_BIT,
     Description,
@@ -22,11 +21,12 @@ from simulator.doubles.chassis.description import (
     TransducerWiring,
     default_description,
 )
-from simulator.doubles.doors.control import RunningDoubles
-from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.device_model import Brain
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, Status
 from simulator.parameters.experiment import TwinParameters
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 
 
 def one_board_description(twin: TwinParameters | None = None) -> Description:

@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from daq_service.archive import FolderArchive, SetNotFoundError, SetRecord, StoredSet
-from daq_service.archive.compaction import compact_set
+from daq_service.archive.finalize_set import compact_set
 
 
 class FiledArchive(FolderArchive):

@@ -11,30 +11,30 @@ from pathlib import Path
 import numpy as np
 
 from analysis.waves.features import FEATURE_NAMES, extract_features
-from daq_service.acquisition.schedule import beside_the_plan, plan
+from daq_service.acquisition.schedule import plan, unscheduled_set
 from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import PositionRecord, SetRecord
+from daq_service.assessment.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
+from daq_service.assessment.transaction import Transaction, shot_row
+from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    AssessmentRow,
     BaselineRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
     SetRow,
     ThicknessRow,
-    VerdictRow,
     payload_of,
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
-from daq_service.judgement.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
-from daq_service.judgement.transaction import Transaction, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
-from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -99,7 +99,7 @@ class FilledFolder:
                 solimon_version="0",
             )
         self.archive = FiledArchive(folder)
-        self.live = LivePicture(folder, settings.rig.kind)
+        self.live = LiveFigure(folder, settings.rig.kind)
         self._ownership = ExitStack()
         self._ownership.enter_context(own_data_folder(folder))
         self.beat()
@@ -212,7 +212,7 @@ class FilledFolder:
                     FeatureRow(**common, shot_index=None, sequence=None, n_valid=len(its), **found)
                 )
                 if judged:
-                    commit.verdicts.append(self.verdict(position, index, due.due_h))
+                    commit.assessments.append(self.assessment(position, index, due.due_h))
             commit.events += self._events(due, position, place.method)
         committed = self.catalogue.commit_set(commit)
         if shown:
@@ -229,11 +229,11 @@ class FilledFolder:
             "correlation_coefficient": 0.98,
         }
 
-    def verdict(self, position: str, index: int, hour: float) -> VerdictRow:
+    def assessment(self, position: str, index: int, hour: float) -> AssessmentRow:
         in_baseline = index < N_BASELINE
         rng = np.random.default_rng([ord(position), index, 1])
         distance = float(rng.chisquare(5)) + (120.0 * depth(position, hour)) ** 2 / 4.0
-        return VerdictRow(
+        return AssessmentRow(
             set_index=index,
             position=position,
             due_h=hour,
@@ -260,7 +260,7 @@ class FilledFolder:
         ``authors`` asked for it, of which "" is suspicion.
         """
         planned = self.due[planned_set]
-        due = beside_the_plan(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
+        due = unscheduled_set(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
         transaction = Transaction()
         for author in authors:
             asked = Confirmation(due=due, because=STEP, author=author).payload()
@@ -280,8 +280,8 @@ class FilledFolder:
         common = {"quality": "good", "extractor_version": "1", "n_valid": self.shots_per_set}
         found = self.features(position, planned_set, due.due_h)
         transaction.features.append(FeatureRow(**its, **common, **found, shot_index=None, sequence=None))
-        judged = self.verdict(position, planned_set, due.due_h)
-        transaction.verdicts.append(replace(judged, **its, distance_squared=400.0, confirms=True))
+        judged = self.assessment(position, planned_set, due.due_h)
+        transaction.assessments.append(replace(judged, **its, distance_squared=400.0, confirms=True))
         self.catalogue.commit_set(transaction)
         return due.set_index
 

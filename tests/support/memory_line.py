@@ -19,10 +19,13 @@ from typing import Any
 import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
-from daq_service.alarms.states import NOT_JUDGED
+from daq_service.alarms.states import NOT_ASSESSED
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     EventRow,
     FeatureRow,
@@ -30,17 +33,14 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
 from daq_service.clock import SimulatedClock, parse_utc
-from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
-from daq_service.recording.compaction import Compaction
-from daq_service.recording.idle_check import IdleCheck
-from daq_service.recording.machine import MachineWatch
+from daq_service.recording.computer_load import ComputerLoadWatch
+from daq_service.recording.persistence import Helpers
 from daq_service.recording.recorder import Recorder
-from daq_service.recording.safekeeping import Helpers
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
@@ -61,7 +61,7 @@ TABLES: Mapping[str, type[Row]] = {
     "shots": ShotRow,
     "features": FeatureRow,
     "thickness": ThicknessRow,
-    "verdicts": VerdictRow,
+    "verdicts": AssessmentRow,
     "baselines": BaselineRow,
     "alarms": AlarmRow,
     "events": EventRow,
@@ -203,10 +203,10 @@ class Line:
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
-        idle_check: IdleCheck | None = None,
+        idle_check: IdleVerification | None = None,
         disk: DiskWatch | None = None,
-        compaction: Compaction | None = None,
-        machine: MachineWatch | None = None,
+        compaction: SetFinalizer | None = None,
+        machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
         tell: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
@@ -263,7 +263,7 @@ class Line:
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:
-                return recorder.run(not_running_because=cause)
+                return recorder.run(not_running_reason=cause)
             finally:
                 recorder.leave()
                 self.runs = False
@@ -311,7 +311,7 @@ class Line:
 
     def alarms(self) -> list[Any]:
         """Rows of alarms, but of those that baselines of so few sets raise: they judge nothing."""
-        return [row for row in self.rows("alarms") if row.kind != NOT_JUDGED]
+        return [row for row in self.rows("alarms") if row.kind != NOT_ASSESSED]
 
     def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
         """Rows of a table, of one position where it has one; of a baseline without when it was written."""

@@ -14,12 +14,12 @@ import pytest
 
 from hardware_drivers.measurement import Counts, ShotKey
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import Description
 from simulator.doubles.chassis.description import ProbeWiring as DoubleProbe
 from simulator.doubles.chassis.scopes import ScopeParameters
-from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
-from simulator.doubles.doors.server import WireServer
+from simulator.doubles.device_model import Brain
+from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.transports.server import WireServer
 from simulator.electronics.transduction import counts_of
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import TwinParameters

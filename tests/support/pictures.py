@@ -115,7 +115,7 @@ PICTURES = (
 )
 
 
-def told_by(path: Path) -> str:
+def parsed_line(path: Path) -> str:
     """Return what a picture's file says that it shows."""
     if path.suffix == ".svg":
         return ElementTree.parse(path).findtext("{http://www.w3.org/2000/svg}desc", default="")

@@ -26,17 +26,17 @@ from unittest.mock import patch
 
 from daq_service import shared_file
 from daq_service.archive.records import set_reference
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import connection, open_catalogue
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import WallClock, parse_utc
+from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import StorageError
-from daq_service.orders.obey import OrderListener
 from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording import session
-from daq_service.recording.compaction import Compaction
-from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.session import RigOpener
 from daq_service.settings.tree import Settings
@@ -102,10 +102,10 @@ class Stop(threading.Event):
 def injected(clock: Time) -> Iterator[None]:
     """Let everything in this process go by a clock that nobody waits for."""
     named: dict[Callable[..., Any], dict[str, Any]] = {
-        Compaction.__init__: {"mono_s": clock.s},
+        SetFinalizer.__init__: {"mono_s": clock.s},
         Heartbeat.__init__: {"mono_ns": clock.ns},
-        LivePicture.__init__: {"mono_ns": clock.ns},
-        OrderListener.__init__: {"mono_ns": clock.ns},
+        LiveFigure.__init__: {"mono_ns": clock.ns},
+        CommandExecutor.__init__: {"mono_ns": clock.ns},
         shared_file.patiently: {"pause": clock.sleep},
     }
     with ExitStack() as stack:

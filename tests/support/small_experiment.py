@@ -16,12 +16,12 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     FeatureRow,
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import record
@@ -71,7 +71,7 @@ def run(
     *,
     rig: RigOpener = open_rig,
     stop: threading.Event | None = None,
-    restarted_because: str = "",
+    restart_reason: str = "",
     **options: Any,
 ) -> bool:
     """Record to the end, or until ``stop``; ``options`` and the return value are the recorder's."""
@@ -84,7 +84,7 @@ def run(
             folder,
             rig,
             stop=stop or threading.Event(),
-            restarted_because=restarted_because,
+            restart_reason=restart_reason,
             tell=lambda event, **values: None,
             **{"compaction_worker": AtOnce, **options},
         )
@@ -108,7 +108,7 @@ def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
             "set_features": catalogue.rows(FeatureRow, scope="set", purpose="any"),
             "shot_features": catalogue.rows(FeatureRow, scope="shot", purpose="any"),
             "thickness": catalogue.rows(ThicknessRow),
-            "verdicts": catalogue.rows(VerdictRow, purpose="any"),
+            "verdicts": catalogue.rows(AssessmentRow, purpose="any"),
             "baselines": [replace(row, created_utc_ns=0) for row in catalogue.rows(BaselineRow)],
             "alarms": catalogue.rows(AlarmRow),
             "shots": catalogue.rows(ShotRow, purpose="any"),

@@ -21,7 +21,7 @@ from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.processes.disk_policy import disk_space
-from daq_service.processes.lost_catalogue import history_of, lost_because, lost_catalogue
+from daq_service.processes.lost_catalogue import history_of, lost_catalogue, lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording.experiment import kept_experiment
 from daq_service.settings.tree import Settings
@@ -162,7 +162,7 @@ def _owner(settings: Settings, folder: Path) -> Check:
 def _catalogue(folder: Path) -> list[Check]:
     """Look whether a begun test still has its catalogue; an unreadable one `_owner` tells of."""
     try:
-        told = lost_because(folder)
+        told = lost_reason(folder)
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"

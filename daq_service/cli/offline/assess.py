@@ -17,7 +17,7 @@ from analysis.statistics.design import Budget
 from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.csv_lines import NoTableError
-from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
+from daq_service.cli.offline.fleet import Map, Read, assess_fleet, fleet_in_words
 from daq_service.cli.offline.table_file import read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
@@ -71,7 +71,7 @@ def run_assess(
         readable = {path: told for path, (told, error) in zip(tables, found, strict=True) if error is None}
         if fleet and readable:
             alone = [told["alarm"]["rows"] for told in readable.values()]
-            answer["fleet"] = judge_fleet([*readable], read, mapped, design, false_discovery_rate, alone)
+            answer["fleet"] = assess_fleet([*readable], read, mapped, design, false_discovery_rate, alone)
     if as_json:
         click.echo(json.dumps(answer, allow_nan=False))
     else:
@@ -144,7 +144,7 @@ def sensor(
         "named": [{"kind": one.kind, "rows": list(one.rows)} for one in found.named],
         "left_out": [{"row": row, "reason": reason} for row, reason in found.left_out],
         "limits": dict(found.limits),
-        "default_because": found.default_because,
+        "default_because": found.default_reason,
         "count": dict(found.count),
         "first": dict(found.first),
         "alarm": {

@@ -80,7 +80,9 @@ def run_features(
         except UsageError as error:
             refused.append((path, error))
             continue
-        rows += [{"file": str(path), "index": index, **told_of(shot)} for index, shot in enumerate(shots)]
+        rows += [
+            {"file": str(path), "index": index, **experiment_text(shot)} for index, shot in enumerate(shots)
+        ]
     if as_json:
         answer = {"extractor_version": EXTRACTOR_VERSION, "records": rows}
         answer["refused"] = [{"file": str(path), "reason": str(error)} for path, error in refused]
@@ -218,7 +220,7 @@ def _in_words(template: Template) -> str:
     return f"compared with an ISW {width_us:.1f} us wide and {height_v:.4g} V high{since}"
 
 
-def told_of(shot: ShotFeatures) -> dict[str, Any]:
+def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
     """Give a shot as JSON tells it: null where something is not available."""
     return {
         "flags": list(shot.flags),

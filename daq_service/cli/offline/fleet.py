@@ -116,7 +116,7 @@ def _after(table: Deviations) -> int:
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
 
-def judge_fleet(
+def assess_fleet(
     paths: Sequence[Path],
     read: Read,
     mapped: Map,

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.acquisition.taken_set import features_of_all
+from daq_service.assessment.assessor import PositionResult
+from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
-from daq_service.judgement.assessment import Assessment
-from daq_service.judgement.life import planned
-from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
 from daq_service.rig.twin import transducers_of
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, ShotKey, Stamp
@@ -23,7 +23,7 @@ from simulator.specimen import Specimen, build_specimen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JudgedSet:
+class AssessedSet:
     """One set of one transducer.
 
     Attributes
@@ -37,20 +37,22 @@ class JudgedSet:
     due: DueSet
     hour_h: float
     shots: tuple[Shot, ...]
-    assessment: Assessment
+    position_result: PositionResult
 
     @property
     def raised(self) -> frozenset[str]:
         """Kinds of the alarms that stand."""
-        return frozenset(one.kind for one in self.assessment.conditions if one.present)
+        return frozenset(one.kind for one in self.position_result.conditions if one.present)
 
 
 def specimen_of(settings: Settings) -> Specimen:
-    """Build the twin of a configuration; `judged_sets` of several positions share it."""
+    """Build the twin of a configuration; `assessed_sets` of several positions share it."""
     return build_specimen(settings.twin, transducers=transducers_of(settings), probed_thickness_m={})
 
 
-def judged_sets(settings: Settings, position: str, specimen: Specimen | None = None) -> Iterator[JudgedSet]:
+def assessed_sets(
+    settings: Settings, position: str, specimen: Specimen | None = None
+) -> Iterator[AssessedSet]:
     """Strike and judge every planned set of a transducer, until the plan or its wall ends.
 
     Raises
@@ -80,8 +82,8 @@ def judged_sets(settings: Settings, position: str, specimen: Specimen | None = N
             for key, record in zip(keys, records, strict=True)
             if record is not None
         )
-        assessment = assessor.assess(due, shots, features_of_all(shots), n_tried=len(keys))
-        found = JudgedSet(due=due, hour_h=hour_h, shots=shots, assessment=assessment)
+        position_result = assessor.assess(due, shots, features_of_all(shots), n_tried=len(keys))
+        found = AssessedSet(due=due, hour_h=hour_h, shots=shots, position_result=position_result)
         yield found
         if found.raised & {"hole", "retired"}:
             return

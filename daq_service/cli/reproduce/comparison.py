@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from daq_service.cli.reproduce.causes import GIVEN, cause_of
+from daq_service.cli.reproduce.diagnosis import GIVEN, cause_of
 from daq_service.cli.reproduce.item import Found, missing
 from daq_service.cli.reproduce.paper_values import PaperValue, values_of
 

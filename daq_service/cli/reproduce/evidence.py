@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from daq_service.archive import ArchiveError, FolderSetReader, SetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, SetRow, ThicknessRow, VerdictRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.errors import StorageError
-from daq_service.processes.lost_catalogue import lost_because
+from daq_service.processes.lost_catalogue import lost_reason
 
 FloatArray = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
-            lost_because(folder)
+            lost_reason(folder)
             or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
@@ -245,14 +245,14 @@ def _array(values: Sequence[float | bool | None]) -> FloatArray:
 
 def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
-    verdicts = catalogue.columns(
-        VerdictRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED], position=position
+    assessments = catalogue.columns(
+        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED], position=position
     )
-    row_of = {index: row for row, index in enumerate(verdicts["set_index"])}
+    row_of = {index: row for row, index in enumerate(assessments["set_index"])}
     rows = [row_of.get(index) for index in columns["set_index"]]
 
     def judged(name: str) -> FloatArray:
-        return _array([None if row is None else verdicts[name][row] for row in rows])
+        return _array([None if row is None else assessments[name][row] for row in rows])
 
     return SolitaryWaves(
         **_common(catalogue, position, place, columns),

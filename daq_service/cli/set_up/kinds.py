@@ -19,7 +19,7 @@ from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.drawn import shot_drawn
 from daq_service.cli.set_up.init import head_of, laboratory, settings_of, write_file
-from daq_service.cli.set_up.transducers import Flags, ask_position, strikes_or_goes_on, tell_file
+from daq_service.cli.set_up.transducers import Flags, ask_position, report_file, strikes_or_goes_on
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.settings.instruments import configured, plain
 from daq_service.settings.stored import KeyPath
@@ -231,10 +231,10 @@ def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
         digitizer, slash, striker = text.partition("/")
         bench.served[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
     bench.settings()
-    _tell_checks(dialogue, bench.checks())
+    _print_checks(dialogue, bench.checks())
     for position in flags.transducers if flags.strike else ():
         trial = bench.strike(position, dialogue)
-        _tell_checks(dialogue, trial.checks)
+        _print_checks(dialogue, trial.checks)
         if trial.record is None:
             raise RigError(f"{position} gave no record; mend what is told above, then run it again")
 
@@ -249,14 +249,14 @@ def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
         }
         bench.position = position
         _change(dialogue, bench)
-        _tell_checks(dialogue, bench.checks())
+        _print_checks(dialogue, bench.checks())
         while strikes_or_goes_on(dialogue, position):
             try:
                 trial = bench.strike(position, dialogue)
             except BusyError as error:
                 dialogue.tell(f"  {error}")
                 continue
-            _tell_checks(dialogue, trial.checks)
+            _print_checks(dialogue, trial.checks)
             _propose_level(dialogue, bench, position, trial)
             _change(dialogue, bench)
 
@@ -304,7 +304,7 @@ def _propose_level(dialogue: Dialogue, bench: KindsBench, position: str, trial: 
         bench.parameters[digitizer][LEVEL] = proposed_v
 
 
-def _tell_checks(dialogue: Dialogue, checks: Sequence[Check]) -> None:
+def _print_checks(dialogue: Dialogue, checks: Sequence[Check]) -> None:
     for check in checks:
         remedy = f"; {check.remedy}" if check.remedy else ""
         dialogue.tell(f"{check.state:<6} {check.name}: {check.found}{remedy}")
@@ -339,7 +339,7 @@ def write_kinds(
             values["rig"]["instruments"][item.name] |= filled
     struck = [name for name, trial in bench.trials.items() if trial.record is not None]
     write_file(bench.file, values, head=head_of(bench.offers, struck), off=set())
-    tell_file(dialogue, bench.file, settings)
+    report_file(dialogue, bench.file, settings)
     return {
         "file": str(bench.file),
         "configuration_hash": settings.configuration_hash(),

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
+from daq_service.commands.send import user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
-from daq_service.orders.give import user_name
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.notifications.addresses import address_of
 from daq_service.processes.notifications.by_apprise import notify

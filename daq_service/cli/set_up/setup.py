@@ -32,7 +32,7 @@ from daq_service.cli.set_up.kinds import (
 )
 from daq_service.cli.set_up.other_instruments import ask_for_others
 from daq_service.cli.set_up.page import Scope, served_page
-from daq_service.cli.set_up.transducers import Flags, ask_for_transducers, take_transducers, tell_file
+from daq_service.cli.set_up.transducers import Flags, ask_for_transducers, report_file, take_transducers
 from daq_service.cli.set_up.wiring import board_in_words
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
@@ -206,7 +206,7 @@ def write(
     settings = settings_of(values, off, file)
     head = head_of(boards, bench.struck if bench.chosen else ())
     write_file(file, values, head=head, off=off)
-    tell_file(dialogue, file, settings)
+    report_file(dialogue, file, settings)
     proposal = bench.proposal()
     return {
         "file": str(file),

@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from daq_service.orders.audit import TERMINAL, Audit
-from daq_service.orders.give import user_name
+from daq_service.commands.audit import TERMINAL, Audit
+from daq_service.commands.send import user_name
 from daq_service.processes.data_folder import prepare_data_folder, settings_of_folder
-from daq_service.web.doors.roles import CLAIMED, Role
-from daq_service.web.doors.tokens import Token, create_token, read_tokens, revoke_token, tokens_file
+from daq_service.web.auth.roles import CLAIMED, Role
+from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token, tokens_file
 
 
 def run_create(

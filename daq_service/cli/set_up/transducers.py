@@ -11,7 +11,7 @@ from analysis.errors import AnalysisError
 from daq_service.cli.doctor.spike import edge_in_words
 from daq_service.cli.set_up.bench import Bench, rms_v
 from daq_service.cli.set_up.dialogue import Dialogue, Question
-from daq_service.cli.set_up.values import REMEDIES, judge
+from daq_service.cli.set_up.values import REMEDIES, assess_strikes
 from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tree import Settings
@@ -38,7 +38,7 @@ def take_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
     bench.pulse_s = flags.pulse_s or bench.pulse_s
     for position, text in flags.transducers.items():
         try:
-            _tell_quiet(dialogue, position, bench, wiring_of(bench.boards, text))
+            _print_quiet(dialogue, position, bench, wiring_of(bench.boards, text))
         except ValueError as error:
             raise UsageError(f"--transducer {position}={text}: {error}") from error
     if flags.strike:
@@ -48,10 +48,10 @@ def take_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
             for position in proposal.again:
                 bench.take_range(position, proposal.range_v[position])
                 bench.strike(position)
-        judge(dialogue, bench, asks=False)
+        assess_strikes(dialogue, bench, asks=False)
 
 
-def _tell_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: TransducerWiring) -> None:
+def _print_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: TransducerWiring) -> None:
     record = bench.wire(position, wiring)
     dialogue.tell(
         f"{position}      {wiring.input} of {wiring.board_serial}, coil at {wiring.counter} "
@@ -76,10 +76,10 @@ def ask_for_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
         while strikes_or_goes_on(dialogue, position):
             try:
                 bench.strike(position)
-                _tell_strike(dialogue, bench, position)
+                _print_strike(dialogue, bench, position)
             except (InstrumentError, AnalysisError, BusyError) as error:
                 dialogue.tell(f"  {error}")
-    judge(dialogue, bench, asks=True)
+    assess_strikes(dialogue, bench, asks=True)
 
 
 def ask_position(dialogue: Dialogue, taken: Mapping[str, Any]) -> str | None:
@@ -121,7 +121,7 @@ def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
     return text
 
 
-def tell_file(dialogue: Dialogue, file: Path, settings: Settings) -> None:
+def report_file(dialogue: Dialogue, file: Path, settings: Settings) -> None:
     """Say that the file is there, and what comes next."""
     dialogue.tell(f"{file} is written, its schema beside it ({settings.configuration_hash()[:12]})")
     dialogue.tell(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
@@ -156,7 +156,7 @@ def _wire(dialogue: Dialogue, bench: Bench, position: str) -> None:
         )
         try:
             wiring = wiring_of(bench.boards, f"{serial}/{channel}/{counter}/{terminal}")
-            _tell_quiet(dialogue, position, bench, wiring)
+            _print_quiet(dialogue, position, bench, wiring)
         except (ValueError, InstrumentError) as error:
             dialogue.tell(f"  {error}")
         else:
@@ -169,7 +169,7 @@ def _choice(dialogue: Dialogue, name: str, text: str, choices: Sequence[str]) ->
     return dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
 
 
-def _tell_strike(dialogue: Dialogue, bench: Bench, position: str) -> None:
+def _print_strike(dialogue: Dialogue, bench: Bench, position: str) -> None:
     proposal = bench.proposal()
     assert proposal is not None, "it was struck"
     survey = proposal.surveys[position]

@@ -21,7 +21,7 @@ REMEDIES: Mapping[Trouble, str] = {
 }
 
 
-def judge(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
+def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
     """Tell what the strikes propose, and take it over, or what a person says instead."""
     proposal = bench.proposal()
     if proposal is None:

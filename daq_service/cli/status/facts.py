@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
-from daq_service.alarms.proof import baseline_doubts
+from daq_service.alarms.evidence import baseline_doubts
 from daq_service.archive import FolderSetReader
 from daq_service.archive.errors import ArchiveError
+from daq_service.assessment.confirmation import asked_so_far, confirmed, n_today
+from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.restore_state import thickness_interval_m
+from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import NoDataYetError
@@ -20,24 +24,20 @@ from daq_service.catalogue.history import lacks_rows_of, read_history
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     CommandRow,
     EnvironmentRow,
     SetRow,
-    VerdictRow,
     values,
 )
-from daq_service.corrosion_drive.kept import described, look_at_drive
+from daq_service.commands.deadline import as_it_stands, left_now_s
+from daq_service.corrosion_drive.supply_state import described, look_at_drive
 from daq_service.errors import StorageError
-from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
-from daq_service.judgement.restored import thickness_interval_m
-from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
-from daq_service.judgement.stored_limits import deciding_chart
-from daq_service.orders.deadline import as_it_stands, left_now_s
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.heartbeat import time_now_ns
-from daq_service.processes.lost_catalogue import lost_because
+from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
@@ -102,7 +102,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 ],
             }
     except NoDataYetError:
-        if told := lost_because(folder):
+        if told := lost_reason(folder):
             raise StorageError(told) from None
         recorder = look_at_recorder(folder, [])
         told_ns = time_now_ns(recorder.beat)
@@ -167,7 +167,7 @@ def _standing(
     age_h = None if data_h is None else fresh.age_h(data_h)
     chart = deciding_chart(last.last_verdict, settings)
     return {
-        "state": state_word(last),
+        "state": status_of(last),
         "age_h": age_h,
         "stale": is_stale(settings.schedule, fresh, age_h),
         "limit": limit_of(last, settings),
@@ -197,8 +197,8 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
     last = None
     if newest is not None:
-        verdicts = catalogue.rows(VerdictRow, position=newest.position, set_index=newest.set_index)
-        said = asdict(confirmed(newest, verdicts[0] if verdicts else None))
+        assessments = catalogue.rows(AssessmentRow, position=newest.position, set_index=newest.set_index)
+        said = asdict(confirmed(newest, assessments[0] if assessments else None))
         last = {"position": newest.position, **said, "age_h": fresh.age_h(newest.due_h)}
     asked, most = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
     return {

@@ -11,12 +11,12 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from analysis.causes.hypotheses import OK, WALL
+from analysis.diagnosis.hypotheses import OK, WALL
+from daq_service.alarms.evidence import confirmation_sentence
 from daq_service.alarms.guidance import GUIDANCE, in_order
-from daq_service.alarms.proof import confirmation_sentence
+from daq_service.assessment.diagnosis import said
 from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
-from daq_service.judgement.cause import said
 from daq_service.processes.disk_policy import LEVELS
 from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 
@@ -107,10 +107,10 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
         remedy = "" if "solimon" in what else "; solimon repair --from BACKUP brings it back"
         yield "LOST", f"{file} {what}{remedy}", "bold red"
     yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
-    yield from (("verdict", *told) for told in _verdicts(facts["positions"]))
+    yield from (("verdict", *told) for told in _assessments(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
         yield "decides", "the chart, or a cause named WALL; D² beyond its limit is an outlier, no alarm", ""
-    yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
+    yield "disk", disk_text(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
     apart = sum(row["suppressed"] is not None for row in facts["alarms"])
     suppressed = f", {apart} shelved or out of service" if apart else ""
     yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
@@ -134,15 +134,15 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     yield from (f"{', '.join(names)}: {told}" for told, names in alike.items())
 
 
-def _verdicts(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """Tell the cause of what the newest set of a position shows, where it is not as in the baseline."""
     for name, row in positions.items():
-        verdict = row["last_verdict"]
-        if not _of_the_same_set(row["last_feature"], verdict) or verdict["cause"] in (None, OK):
+        assessment = row["last_verdict"]
+        if not _of_the_same_set(row["last_feature"], assessment) or assessment["cause"] in (None, OK):
             continue
-        style = "bold red" if verdict["cause"] == WALL else "yellow"
-        told = said(verdict["cause"], verdict["cause_probability"], verdict["cause_told"])
-        yield f"{name}, set {verdict['set_index']}: {told}", style
+        style = "bold red" if assessment["cause"] == WALL else "yellow"
+        told = said(assessment["cause"], assessment["cause_probability"], assessment["cause_told"])
+        yield f"{name}, set {assessment['set_index']}: {told}", style
 
 
 def _confirmations(facts: Mapping[str, Any]) -> str:
@@ -168,7 +168,7 @@ def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"{names} {state} at {where}, hour {last['due_h']:g}: {cause}"
 
 
-def told_of_the_disk(disk: Mapping[str, Any]) -> str:
+def disk_text(disk: Mapping[str, Any]) -> str:
     """Tell what is free, what is needed, and until when it lasts."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
@@ -205,7 +205,7 @@ def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
 
 def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     """Tell result, limit and quality of a position's newest data, by its method."""
-    echo, feature, verdict = row["last_thickness"], row["last_feature"], row["last_verdict"]
+    echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_verdict"]
     if echo is not None:
         wall_m, ends_m = echo["thickness_m"], row["thickness_interval_m"]
         between = "" if ends_m is None else f" ({1e3 * ends_m[0]:.2f} to {1e3 * ends_m[1]:.2f})"
@@ -213,7 +213,7 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
         return result, f"{1e3 * row['limit']:.2f} mm", echo["quality"]
     if feature is None:
         return "-", "-", "-"
-    distance = verdict["distance_squared"] if _of_the_same_set(feature, verdict) else None
+    distance = assessment["distance_squared"] if _of_the_same_set(feature, assessment) else None
     none = "none yet" if row["state"] == "learning" else "none"
     limit = none if row["limit"] is None else f"{row['limit']:.1f}"
     told = []
@@ -226,9 +226,9 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return ", ".join(told) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
-def _of_the_same_set(feature: Mapping[str, Any] | None, verdict: Mapping[str, Any] | None) -> bool:
+def _of_the_same_set(feature: Mapping[str, Any] | None, assessment: Mapping[str, Any] | None) -> bool:
     """Tell whether a verdict has the age of these features."""
-    return feature is not None and verdict is not None and verdict["set_index"] == feature["set_index"]
+    return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
 def _chart(row: Mapping[str, Any]) -> str:

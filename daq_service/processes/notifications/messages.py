@@ -11,14 +11,14 @@ from urllib.parse import urlencode
 
 import orjson
 
+from daq_service.alarms.evidence import evidence
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.proof import evidence
 from daq_service.alarms.states import SEVERITIES
 from daq_service.catalogue.rows import EventRow, ExperimentRow
 from daq_service.clock import format_utc
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
-MOST_TOLD = 20
+MOST_LISTED = 20
 """A message spells out so many alarms and counts the rest: nobody reads more."""
 FORMAT_VERSION = 1
 What = Literal["raised", "worse", "back", "over"]
@@ -144,8 +144,8 @@ def alarm_message(
     now_ns
         Wall clock: the age of the news is told.
     """
-    shown = [_item(test, item, qualities.get(item.event_id), now_ns) for item in news[:MOST_TOLD]]
-    left = news[MOST_TOLD:]
+    shown = [_item(test, item, qualities.get(item.event_id), now_ns) for item in news[:MOST_LISTED]]
+    left = news[MOST_LISTED:]
     paragraphs = [item["text"] for item in shown]
     if left:
         paragraphs.append(f"And {len(left)} more: {_counted(left)}.")

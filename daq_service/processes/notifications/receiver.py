@@ -61,7 +61,7 @@ class State:
     next_attempt_utc_ns: int | None = None
     began: str = ""
     heartbeat: str = "off"
-    heartbeat_told: str = ""
+    heartbeat_result: str = ""
     last_heartbeat_utc_ns: int | None = None
     next_heartbeat_utc_ns: int | None = None
 
@@ -116,8 +116,8 @@ class ReceiverLine:
             self._seen, self._settled = place.cursor, set(place.settled)
             self.state.began = f"went on behind event {place.cursor}"
             self._resume(place.sending)
-        elif place is None and not self._source.has_begun():
-            self._tell_begin("begins with the test's first event")
+        elif place is None and not self._source.has_started():
+            self._report_start("begins with the test's first event")
         else:
             self._seen = self._source.last_event_id()
             why = (
@@ -125,7 +125,7 @@ class ReceiverLine:
                 if place is None
                 else f"the catalogue does not have event {place.cursor} as it was told: it was made again"
             )
-            self._tell_begin(
+            self._report_start(
                 f"begins at the present, behind event {self._seen}: {why}; "
                 f"{self._source.standing()} alarms that stand already are not sent"
             )
@@ -312,7 +312,7 @@ class ReceiverLine:
     def _beaten(self, state: str, told: str) -> None:
         if state != self.state.heartbeat or (self._notes_each_heartbeat and state != "withheld"):
             self._note("heartbeat", f"{state}: {told}", moved=False)
-        self.state.heartbeat, self.state.heartbeat_told = state, told
+        self.state.heartbeat, self.state.heartbeat_result = state, told
 
     # How far it has got
 
@@ -337,7 +337,7 @@ class ReceiverLine:
             sending=under_way,
         )
 
-    def _tell_begin(self, told: str) -> None:
+    def _report_start(self, told: str) -> None:
         self.state.began = told
         log.info("notifications for %s: %s", self.name, told)
         self._note("began", told)

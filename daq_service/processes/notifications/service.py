@@ -133,11 +133,11 @@ class Notifications:
                 with hold_lock(self._folder, LOCK_FILE, text, who="process", patience_s=0.0) as lock:
                     self._attend(lock)
             except BusyError:
-                self._tell_trouble("another process of this test sends")
+                self._report_trouble("another process of this test sends")
                 self._take_from_stalled()
                 self._stop.wait(LOOK_EVERY_S)
             except SolimonError as error:
-                self._tell_trouble(str(error))
+                self._report_trouble(str(error))
                 self._stop.wait(TROUBLE_PAUSE_S)
 
     def _attend(self, lock: IO[bytes]) -> None:
@@ -186,11 +186,11 @@ class Notifications:
                 pause_s = line.step()
                 self.why_silent = ""
             except Exception as error:  # noqa: BLE001 - the next message may be delivered
-                self._tell_trouble(str(error))
+                self._report_trouble(str(error))
                 pause_s = TROUBLE_PAUSE_S
             over.wait(pause_s)
 
-    def _tell_trouble(self, told: str) -> None:
+    def _report_trouble(self, told: str) -> None:
         if self.lines and told != self.why_silent:
             log.warning("no notifications now, tried again: %s", told)
             self.why_silent = told

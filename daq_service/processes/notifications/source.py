@@ -26,7 +26,7 @@ class Source:
     def __init__(self, settings: Settings, folder: Path, catalogue: Callable[[], Catalogue]) -> None:
         self._settings, self._folder, self._catalogue = settings, folder, catalogue
 
-    def has_begun(self) -> bool:
+    def has_started(self) -> bool:
         """Tell whether there is a catalogue."""
         try:
             self._catalogue()

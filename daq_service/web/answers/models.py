@@ -11,10 +11,10 @@ from typing import Any, Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
-from daq_service.judgement.standing import PositionStatus
-from daq_service.orders.audit import Result
+from daq_service.commands.audit import Result
 from daq_service.processes.notifications.delivery_log import What
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
@@ -117,8 +117,8 @@ class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
-@_of_row(rows.VerdictRow)
-class VerdictRow(Answer):
+@_of_row(rows.AssessmentRow)
+class AssessmentRow(Answer):
     """What novelty detection says of a set."""
 
     quality: Quality | None = Field(description="Quality of the set's feature that was judged")
@@ -250,10 +250,10 @@ class ThicknessPage(Page):
     items: list[ThicknessRow]
 
 
-class VerdictPage(Page):
+class AssessmentPage(Page):
     """Verdicts in order."""
 
-    items: list[VerdictRow]
+    items: list[AssessmentRow]
 
 
 class AlarmPage(Page):
@@ -387,7 +387,7 @@ class PositionStanding(Answer):
     label: str
     method: Method
     state: PositionStatus = Field(
-        description="`not_judged`: `last_verdict.reason` gives the reason. `shelved`, `out_of_service`: an "
+        description="`not_assessed`: `last_verdict.reason` gives the reason. `shelved`, `out_of_service`: an "
         "alarm is active, but suppressed"
     )
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
@@ -403,7 +403,7 @@ class PositionState(PositionStanding):
     last_set: SetRow | None
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None
-    last_verdict: VerdictRow | None
+    last_verdict: AssessmentRow | None
     retired_because: str | None = Field(
         description="Why the transducer strikes no more until it is reinstated; null: it strikes"
     )
@@ -588,7 +588,7 @@ class TrendBins(Answer):
     first_alarm_set_index: list[int | None]
 
 
-TREND_VERDICTS = (
+TREND_ASSESSMENTS = (
     *("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline"),
     *("chart", "reason"),
 )
@@ -596,13 +596,13 @@ TREND_VERDICTS = (
 MEASURED_FIELDS = tuple(
     dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.measured(kind))
 )
-TREND_FIELDS = (*MEASURED_FIELDS, *TREND_VERDICTS)
+TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 
 def _trend_columns() -> type[Answer]:
-    of_verdict = {column.name: column for column in rows.columns_of(rows.VerdictRow)}
+    of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
     kinds: dict[str, Any] = dict.fromkeys(TREND_FIELDS, float | None)
-    kinds |= {name: of_verdict[name].type for name in TREND_VERDICTS}
+    kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
     fields: dict[str, Any] = {
         name: (list[kind | None], Field(default_factory=list))  # type: ignore[valid-type] # a value here

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.archive import ArchiveError, FolderSetReader
+from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.restore_state import thickness_interval_m
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters, LastWord
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    AssessmentRow,
     BaselineRow,
     CommandRow,
     EventRow,
@@ -25,13 +28,10 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
-    VerdictRow,
 )
+from daq_service.commands.audit import AuditEntry, read_audit
+from daq_service.commands.deadline import as_it_stands, left_now_s
 from daq_service.errors import UsageError
-from daq_service.judgement.restored import thickness_interval_m
-from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
-from daq_service.orders.audit import Deed, read_audit
-from daq_service.orders.deadline import as_it_stands, left_now_s
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
@@ -45,7 +45,15 @@ MOST_SETS = 20_000
 MOST_LINES = 500
 """Of alarms, annotations, orders and the audit each; the newest are shown."""
 OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
-OF_VERDICTS = ("due_h", "distance_squared", "limit_f", "limit_paper", "limit_name", "outlier", "in_baseline")
+OF_ASSESSMENTS = (
+    "due_h",
+    "distance_squared",
+    "limit_f",
+    "limit_paper",
+    "limit_name",
+    "outlier",
+    "in_baseline",
+)
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
 
 Columns = Mapping[str, list[Any]]
@@ -71,7 +79,7 @@ class Place:
     ----------
     values
         Features of the sets' means, or thickness.
-    verdicts
+    assessments
         None of a probe.
     thickness_interval_m
         95 % interval of the newest reading; None: it has none, or a record of it cannot be read.
@@ -89,7 +97,7 @@ class Place:
     limit: float | None
     thickness_interval_m: tuple[float, float] | None
     values: Columns
-    verdicts: Columns | None
+    assessments: Columns | None
     states: Mapping[str, int]
 
 
@@ -130,7 +138,7 @@ class Contents:
     history: Mapping[int, Sequence[EventRow]]
     annotations: Sequence[AnnotationRow]
     orders: Sequence[CommandRow]
-    audit: Sequence[Deed] | None
+    audit: Sequence[AuditEntry] | None
 
 
 def read_contents(
@@ -177,7 +185,7 @@ def read_contents(
         alarms = [
             fresh.standing(row) for row in catalogue.rows(AlarmRow) if _stood(row, experiment, begin_h, end_h)
         ]
-        started = catalogue.last_told("recorder_started")
+        started = catalogue.last_service_event("recorder_started")
         return Contents(
             experiment=experiment,
             settings=settings,
@@ -234,7 +242,7 @@ def _place(
     is_probe = place.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     of_sets: Filters = {**asked, "position": name, "scope": None if is_probe else "set"}
-    of_verdicts: Filters = {**asked, "position": name}
+    of_assessments: Filters = {**asked, "position": name}
     interval_m = None
     if last.last_thickness is not None:
         try:
@@ -248,14 +256,14 @@ def _place(
         method=place.method,
         serial_number=place.serial_number,
         last=last,
-        state=state_word(fresh.standing_word(last)),
+        state=status_of(fresh.standing_word(last)),
         data_h=data_h,
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),
         limit=limit_of(last, settings),
         thickness_interval_m=interval_m,
         values=catalogue.columns(kind, columns, **of_sets),
-        verdicts=None if is_probe else catalogue.columns(VerdictRow, OF_VERDICTS, **of_verdicts),
+        assessments=None if is_probe else catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **of_assessments),
         states={state: states.count(state) for state in dict.fromkeys(states)},
     )
 

@@ -73,18 +73,18 @@ def svg_of(figure: Figure, prefix: str) -> str:
 
 
 def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
-    assert place.verdicts is not None, "these have them"
+    assert place.assessments is not None, "these have them"
     for axis, name, factor, label in (
         (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
         (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
     ):
         _points(axis, place.values, name, factor, label)
     distance = axes[2]
-    verdicts = place.verdicts
-    _line(distance, verdicts, "distance_squared", linestyle="none", marker="o", color=BLUE, label="D²")
+    assessments = place.assessments
+    _line(distance, assessments, "distance_squared", linestyle="none", marker="o", color=BLUE, label="D²")
     beyond = {
-        name: [value for value, outlier in zip(values, verdicts["outlier"], strict=True) if outlier]
-        for name, values in verdicts.items()
+        name: [value for value, outlier in zip(values, assessments["outlier"], strict=True) if outlier]
+        for name, values in assessments.items()
     }
     _line(
         distance,
@@ -98,9 +98,9 @@ def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None
         color=VERMILLION,
         label="outlier",
     )
-    _line(distance, verdicts, "limit_f", color=VERMILLION, label="F limit")
-    _line(distance, verdicts, "limit_paper", color=PURPLE, linestyle="--", label="paper's limit")
-    if any(value is not None and value > 0.0 for value in verdicts["distance_squared"]):
+    _line(distance, assessments, "limit_f", color=VERMILLION, label="F limit")
+    _line(distance, assessments, "limit_paper", color=PURPLE, linestyle="--", label="paper's limit")
+    if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
         distance.set_yscale("log")
         distance.yaxis.set_major_formatter(LogFormatter())
         distance.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))

@@ -9,12 +9,12 @@ from html import escape
 from importlib.metadata import version
 from typing import Any
 
-from daq_service.alarms.proof import proof_sentences
-from daq_service.alarms.states import NOT_JUDGED
+from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.alarms.transitions import transition
+from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
-from daq_service.judgement.stored_limits import deciding_chart
 from daq_service.settings.tree import Settings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
 from hardware_drivers.methods import PULSE_ECHO
@@ -146,17 +146,17 @@ def _now(contents: Contents) -> list[str]:
     rows = []
     for place in contents.places:
         last = place.last
-        verdict, measured = last.last_verdict, last.last_feature or last.last_thickness
+        assessment, measured = last.last_verdict, last.last_feature or last.last_thickness
         quality = NOT_KNOWN if measured is None else measured.quality
         if last.last_thickness is not None:
             value = quantity(last.last_thickness.thickness_m, 1e3, 3, "mm")
             limit = quantity(place.limit, 1e3, 3, "mm")
         else:
-            value = f"D² {significant(verdict.distance_squared if verdict else None)}"
-            if place.state == NOT_JUDGED and verdict is not None and verdict.reason:
-                value = f"not judged: {verdict.reason}"
+            value = f"D² {significant(assessment.distance_squared if assessment else None)}"
+            if place.state == NOT_ASSESSED and assessment is not None and assessment.reason:
+                value = f"not judged: {assessment.reason}"
             limit = significant(place.limit)
-            if chart := deciding_chart(verdict, contents.settings):
+            if chart := deciding_chart(assessment, contents.settings):
                 value, limit = (
                     f"{told}; chart {significant(its)}"
                     for told, its in zip((value, limit), chart, strict=True)
@@ -208,16 +208,16 @@ def _position(contents: Contents, place: Place, figure: str) -> str:
         parts.append(table("Thickness", SERIES, rows))
         parts.append(f"<p>95 % interval of the newest reading: {told}.</p>")
     else:
-        assert place.verdicts is not None, "these have them"
-        judged = [outlier for outlier in place.verdicts["outlier"] if outlier is not None]
+        assert place.assessments is not None, "these have them"
+        judged = [outlier for outlier in place.assessments["outlier"] if outlier is not None]
         rows = [
             _series("Time of flight", place.values, "tof_pp_s", 1e6, 3, "µs"),
             _series("Amplitude ratio", place.values, "amplitude_ratio", 1.0, 4, ""),
-            _series("Squared distance", place.verdicts, "distance_squared", 1.0, 3, ""),
+            _series("Squared distance", place.assessments, "distance_squared", 1.0, 3, ""),
         ]
         parts.append(table("Features and distance", SERIES, rows))
         parts.append(f"<p>{sum(judged)} outliers of {len(judged)} judged sets; "
-                     f"{sum(place.verdicts['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
+                     f"{sum(place.assessments['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
     return "\n".join([*parts, "</article>"])
 
 

@@ -10,11 +10,11 @@ from fastapi import Depends
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
-from daq_service.orders.audit import Result
+from daq_service.commands.audit import Result
 from daq_service.web.answers.problem import Problem
+from daq_service.web.auth.middleware import address_of, person_at
+from daq_service.web.auth.roles import OPERATIONS, Person, Role
 from daq_service.web.context import context_at
-from daq_service.web.doors.entry import address_of, person_at
-from daq_service.web.doors.roles import OPERATIONS, Person, Role
 
 OF_THE_DOORS = frozenset({"log_in", "log_out", "create_token", "revoke_token"})
 """Audited beside the tokens; all else beside the test that it is about."""

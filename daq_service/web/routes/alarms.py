@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query
 
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import AlarmRow, AlarmState, EventRow, Severity
-from daq_service.orders.kinds import LARGEST_ID
+from daq_service.commands.kinds import LARGEST_ID
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.problem import not_found

@@ -10,15 +10,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, BeforeValidator
 
+from daq_service.commands.audit import AUDIT_FILE, AuditEntry, Result, read_audit
+from daq_service.commands.deadline import command_state
 from daq_service.errors import SolimonError, StorageUnavailableError
-from daq_service.orders.audit import AUDIT_FILE, Deed, Result, read_audit
-from daq_service.orders.deadline import look_at_order
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import AuditPage, problems
 from daq_service.web.answers.problem import invalid
+from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.doors.roles import OPERATIONS, ORDERS
 from daq_service.web.routes.listing import CursorText, Limit, listing_name
 
 router = APIRouter(tags=["audit"])
@@ -62,7 +62,7 @@ def list_audit(
     first_ns, end_ns = _utc_ns(from_utc), _utc_ns(to_utc)
     _check_range(first_ns, end_ns)
 
-    def wanted(deed: Deed) -> bool:
+    def wanted(deed: AuditEntry) -> bool:
         return (
             who in (None, deed.who)
             and (kinds is None or deed.what in kinds)
@@ -105,7 +105,7 @@ def _utc_ns(moment: datetime | None) -> int | None:
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _item(context: Context, number: int, deed: Deed) -> dict[str, Any]:
+def _item(context: Context, number: int, deed: AuditEntry) -> dict[str, Any]:
     outcome = None if deed.command_id is None else _outcome(context, deed.command_id)
     return with_utc({"id": number, **asdict(deed), "outcome": outcome}, 0)
 
@@ -113,7 +113,7 @@ def _item(context: Context, number: int, deed: Deed) -> dict[str, Any]:
 def _outcome(context: Context, command_id: int) -> str | None:
     """Tell what the recorder made of an order; None where the catalogue cannot say."""
     try:
-        found = look_at_order(context.catalogue_access.get(), command_id)
+        found = command_state(context.catalogue_access.get(), command_id)
     except SolimonError:
         return None
     return None if found is None else f"{found[0].state}: {found[0].result or ''}".rstrip(": ")

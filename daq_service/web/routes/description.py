@@ -10,8 +10,8 @@ from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
-from daq_service.web.answers.words import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, RATIOS, TAGS, WORDS
-from daq_service.web.doors.roles import OPERATIONS, ORDERS
+from daq_service.web.answers.vocabulary import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, RATIOS, TAGS, WORDS
+from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from hardware_drivers.units import unit_of
 
 SCHEMES = {

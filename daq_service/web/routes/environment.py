@@ -7,7 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.corrosion_drive.kept import look_at_drive
+from daq_service.corrosion_drive.supply_state import look_at_drive
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import EnvironmentNow, EnvironmentPage, problems
 from daq_service.web.context import ContextOf

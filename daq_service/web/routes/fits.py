@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 
-from daq_service.catalogue.pyramid import trend_part
-from daq_service.judgement.methods import METHODS
+from daq_service.assessment.methods import METHODS
+from daq_service.catalogue.rollups import trend_part
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Fit, problems
 from daq_service.web.context import ContextOf

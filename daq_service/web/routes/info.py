@@ -31,7 +31,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
     fresh = context.freshness()
     catalogue = context.catalogue()
     row = catalogue.experiment_row()
-    started = catalogue.last_told("recorder_started")
+    started = catalogue.last_service_event("recorder_started")
     hours = schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     return JsonAnswer(
         {
@@ -101,7 +101,7 @@ def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:
 
 def _asked(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
     """Tell what a person is asked to do now, while a recorder waits for it."""
-    told = catalogue.last_told("asked", "asked_over")
+    told = catalogue.last_service_event("asked", "asked_over")
     if told is None or told.kind != "asked" or fresh.recorder.word != "running":
         return None
     left_s = told.payload["within_s"] - (fresh.now_utc_ns - told.utc_ns) / NS_PER_S

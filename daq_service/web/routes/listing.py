@@ -9,9 +9,9 @@ from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Query
 
+from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.told import Purposes
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems

@@ -13,9 +13,15 @@ from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, genera
 from prometheus_client.registry import Collector
 from starlette.responses import Response
 
+from daq_service.assessment.position_status import (
+    PositionStatus,
+    data_hour,
+    is_stale,
+    limit_of,
+    status_of,
+)
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
-from daq_service.judgement.standing import PositionStatus, data_hour, is_stale, limit_of, state_word
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import Word, look_at_recorder
 from daq_service.web.answers.models import problems
@@ -151,7 +157,7 @@ def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]
     schedule = context.settings.schedule
     yield _states(
         *("position_state", "How a position stands"),
-        [((name,), state_word(word)) for name, word in words.items()],
+        [((name,), status_of(word)) for name, word in words.items()],
         get_args(PositionStatus),
         of_position,
     )

@@ -119,7 +119,7 @@ def _heartbeat(own: ReceiverSettings, state: State) -> dict[str, Any] | None:
         {
             "every_s": own.heartbeat_s,
             "state": state.heartbeat,
-            "told": state.heartbeat_told,
+            "told": state.heartbeat_result,
             "last_utc_ns": state.last_heartbeat_utc_ns,
             "next_utc_ns": state.next_heartbeat_utc_ns,
         },

@@ -8,13 +8,13 @@ from fastapi import APIRouter, Request
 from pydantic import Field
 from starlette.responses import Response
 
-from daq_service.orders.kinds import Strict
+from daq_service.commands.kinds import Strict
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Session, problems
 from daq_service.web.answers.problem import Problem
+from daq_service.web.auth.middleware import LONGEST_TOKEN, address_of, is_encrypted
+from daq_service.web.auth.roles import CLAIMED, Person
 from daq_service.web.context import ContextOf
-from daq_service.web.doors.entry import LONGEST_TOKEN, address_of, is_encrypted
-from daq_service.web.doors.roles import CLAIMED, Person
 from daq_service.web.routes.admission import told
 
 router = APIRouter(tags=["session"])

@@ -14,8 +14,8 @@ from analysis.waves.pulses import search_windows_s
 from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
+from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged

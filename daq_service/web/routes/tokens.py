@@ -8,14 +8,14 @@ from fastapi import APIRouter, Path, Request
 from pydantic import Field
 from starlette.responses import Response
 
+from daq_service.commands.kinds import Strict
 from daq_service.errors import UsageError
-from daq_service.orders.kinds import Strict
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, problems
 from daq_service.web.answers.problem import conflict
+from daq_service.web.auth.roles import CLAIMED, Role
+from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token
 from daq_service.web.context import ContextOf
-from daq_service.web.doors.roles import CLAIMED, Role
-from daq_service.web.doors.tokens import Token, create_token, read_tokens, revoke_token
 from daq_service.web.routes.admission import PersonOf, told
 
 router = APIRouter(tags=["tokens"])

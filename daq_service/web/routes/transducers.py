@@ -7,13 +7,13 @@ from typing import Any
 from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
+from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import Row
-from daq_service.judgement.standing import data_hour, is_stale, state_word
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import PositionList, PositionState, problems
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.verdicts import with_quality
+from daq_service.web.routes.assessments import with_quality
 
 router = APIRouter(tags=["transducers"])
 
@@ -48,7 +48,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
 def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None) -> dict[str, Any]:
     place = context.settings.positions[name]
     last = fresh.standing_word(found or LastWord(position=name, method=place.method))
-    verdict, alarms = last.last_verdict, last.active_alarms
+    assessment, alarms = last.last_verdict, last.active_alarms
     told = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
     data_h = data_hour(last)
@@ -56,7 +56,7 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
     return {
         "position": name,
         **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
-        "state": state_word(last),
+        "state": status_of(last),
         "stale": is_stale(context.settings.schedule, fresh, age_h),
         "data_h": data_h,
         "data_utc": None if data_h is None else fresh.utc_of(data_h),
@@ -64,7 +64,7 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
         "last_set": _row(fresh, last.last_set),
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
-        "last_verdict": None if verdict is None else with_quality(context, fresh, [verdict])[0],
+        "last_verdict": None if assessment is None else with_quality(context, fresh, [assessment])[0],
         "retired_because": retired_positions(alarms).get(name),
         "active_alarms": len(told),
         "suppressed_alarms": len(alarms) - len(told),

@@ -11,19 +11,19 @@ from fastapi import APIRouter, Query
 from numpy.typing import NDArray
 from pydantic import StringConstraints, WithJsonSchema
 
-from daq_service.catalogue.pyramid import QUALITIES, Kind, trend_bins, values_of
+from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import VerdictRow
-from daq_service.judgement.methods import METHODS
+from daq_service.catalogue.rollups import QUALITIES, Kind, trend_bins, values_of
+from daq_service.catalogue.rows import AssessmentRow
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
-from daq_service.web.answers.models import TREND_FIELDS, TREND_VERDICTS, Trend, problems
+from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Trend, problems
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 
 router = APIRouter(tags=["trends"])
 
-VERDICTS = TREND_VERDICTS
+ASSESSMENTS = TREND_ASSESSMENTS
 POINTS, MOST_POINTS = 500, 1000
 """Entries of an answer that asks for no number, and the most that may be asked for."""
 MOST_BYTES = 195_000
@@ -104,7 +104,7 @@ def get_trend(
     """
     method = context.settings.positions[context.known(position)].method
     asked = None if fields is None else ",".join(fields)
-    chosen = checked_fields(method, asked, known=(*METHODS[method].values, *VERDICTS))
+    chosen = checked_fields(method, asked, known=(*METHODS[method].values, *ASSESSMENTS))
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     kind = METHODS[method].row
@@ -122,7 +122,7 @@ def get_trend(
         columns = read_columns(context, position, chosen, from_h, last_h)
     else:
         bin_sets, bins = binned
-        columns, told = columns_of_bins(kind, bins, chosen), bins_told(kind, bins, chosen)
+        columns, told = columns_of_bins(kind, bins, chosen), published_bins(kind, bins, chosen)
     columns["due_utc"] = rfc3339_of_hours(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
@@ -164,16 +164,16 @@ def read_columns(
 ) -> dict[str, list[Any]]:
     """Read `COMMON` and the chosen columns; a set without verdict has null in the verdict's columns."""
     own = [name for name in fields if name in METHODS[context.settings.positions[position].method].values]
-    judged = [name for name in fields if name in VERDICTS]
+    judged = [name for name in fields if name in ASSESSMENTS]
     columns = measured_columns(context, position, [*COMMON, *own], from_h, last_h)
     if judged:
-        verdicts = context.catalogue().columns(
-            VerdictRow, ["set_index", *judged], position=position, first_h=from_h, last_h=last_h
+        assessments = context.catalogue().columns(
+            AssessmentRow, ["set_index", *judged], position=position, first_h=from_h, last_h=last_h
         )
-        row_of = {index: row for row, index in enumerate(verdicts["set_index"])}
+        row_of = {index: row for row, index in enumerate(assessments["set_index"])}
         rows = [row_of.get(index) for index in columns["set_index"]]
         for name in judged:
-            values = verdicts[name]
+            values = assessments[name]
             columns[name] = [None if row is None else values[row] for row in rows]
     return columns
 
@@ -220,7 +220,7 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
     return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
 
 
-def bins_told(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
+def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
     """Tell what stands beside the columns of a bin: extremes, counts, where an outlier or an alarm is."""
     names = [name for name in values_of(kind) if name in fields]
     column_of = {name: values_of(kind).index(name) for name in names}

@@ -15,12 +15,12 @@ from starlette.responses import Response
 
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.archive.waterfall.picture import Picture, Wanted
+from daq_service.archive.waterfall.image import Picture, Wanted
+from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import experiment_identity
-from daq_service.catalogue.rows import SetRow, VerdictRow
-from daq_service.judgement.life import planned
-from daq_service.judgement.results import results_in
+from daq_service.catalogue.rows import AssessmentRow, SetRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Waterfall, problems
 from daq_service.web.answers.problem import invalid, not_found
@@ -220,10 +220,10 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
         found = [] if reading is None else [reading.set_index]
     else:
         its = planned(position, context.settings, catalogue.baseline(position))
-        verdicts = catalogue.rows(
-            VerdictRow, position=position, first_set=its.first_set, last_set=its.last_set
+        assessments = catalogue.rows(
+            AssessmentRow, position=position, first_set=its.first_set, last_set=its.last_set
         )
-        found = [row.set_index for row in verdicts if row.in_baseline]
+        found = [row.set_index for row in assessments if row.in_baseline]
     if not found:
         raise not_found(
             f"Position {position} has no baseline yet.",

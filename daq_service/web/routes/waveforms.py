@@ -15,8 +15,8 @@ from starlette.responses import Response
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, SetReference
+from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.judgement.methods import METHODS
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
@@ -25,7 +25,7 @@ from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
 from daq_service.web.routes.listing import LARGEST_INDEX
-from daq_service.web.streams.live_pictures import Picture, decode_header, unreadable_picture
+from daq_service.web.streams.live_figures import Picture, decode_header, unreadable_picture
 
 router = APIRouter(tags=["waveforms"])
 OCTET_STREAM = "application/octet-stream"

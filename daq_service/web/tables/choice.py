@@ -8,28 +8,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.alarms.proof import proof_sentences
+from daq_service.alarms.evidence import proof_sentences
 from daq_service.catalogue import Catalogue
+from daq_service.catalogue.published_columns import PublishedColumn, Purposes, described_columns, with_parts
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    AssessmentRow,
     BaselineRow,
     EnvironmentRow,
     FeatureRow,
     Row,
     SetRow,
     ThicknessRow,
-    VerdictRow,
     values,
 )
-from daq_service.catalogue.told import Purposes, ToldColumn, told_columns, with_parts
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import stored_settings
 from daq_service.web.answers.json_answer import with_utc
-from daq_service.web.tables.lives import told_baselines
-from daq_service.web.tables.quality import judged_qualities
+from daq_service.web.tables.baselines import published_baselines
+from daq_service.web.tables.quality import assessed_qualities
 
 PAGE_ROWS = 1000
 ALWAYS = (
@@ -50,26 +50,26 @@ class TableKind:
     row: type[Row]
     told: str
     fixed: Filters
-    beside_the_plan: bool = False
+    unscheduled_set: bool = False
 
     @property
-    def columns(self) -> tuple[ToldColumn, ...]:
+    def columns(self) -> tuple[PublishedColumn, ...]:
         """All of its columns."""
-        return told_columns(self.row)
+        return described_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
     "sets": TableKind(
-        row=SetRow, told="Planned sets and what became of them", fixed={}, beside_the_plan=True
+        row=SetRow, told="Planned sets and what became of them", fixed={}, unscheduled_set=True
     ),
     "features": TableKind(
-        row=FeatureRow, told="Features of sets", fixed={"scope": "set"}, beside_the_plan=True
+        row=FeatureRow, told="Features of sets", fixed={"scope": "set"}, unscheduled_set=True
     ),
     "shot_features": TableKind(
-        row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}, beside_the_plan=True
+        row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}, unscheduled_set=True
     ),
     "verdicts": TableKind(
-        row=VerdictRow, told="Squared distances, limits and outliers", fixed={}, beside_the_plan=True
+        row=AssessmentRow, told="Squared distances, limits and outliers", fixed={}, unscheduled_set=True
     ),
     "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
@@ -93,7 +93,7 @@ class Choice:
     purpose: Purposes = "planned"
 
     @property
-    def columns(self) -> tuple[ToldColumn, ...]:
+    def columns(self) -> tuple[PublishedColumn, ...]:
         """Columns that were chosen, in the order of the table."""
         every = TABLES[self.table].columns
         wanted = {column.name for column in every} if self.fields is None else {*self.fields, *ALWAYS}
@@ -128,8 +128,8 @@ def chosen(
     known = [column.name for column in TABLES[table].columns]
     if position is not None and "position" not in known:
         raise UsageError(f"the table {table} has no positions; leave the position out")
-    if purpose != "planned" and not TABLES[table].beside_the_plan:
-        beside = ", ".join(name for name, kind in TABLES.items() if kind.beside_the_plan)
+    if purpose != "planned" and not TABLES[table].unscheduled_set:
+        beside = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
         raise UsageError(
             f"the table {table} has no sets beside the plan, {beside} have; leave the purpose out"
         )
@@ -155,13 +155,15 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
         settings = stored_settings(experiment.configuration)
         told = [
             with_parts(BaselineRow, with_utc({**values(row), **beside}, experiment.epoch_utc_ns))
-            for row, beside in told_baselines(catalogue, settings, experiment.epoch_utc_ns, choice.position)
+            for row, beside in published_baselines(
+                catalogue, settings, experiment.epoch_utc_ns, choice.position
+            )
             if _inside(choice, beside["from_h"], beside["to_h"])
         ]
         yield _by_column(told, names)
         return
     asked: Filters = {**kind.fixed, "position": choice.position}
-    if kind.beside_the_plan:
+    if kind.unscheduled_set:
         asked |= {"purpose": choice.purpose}
     by_set = kind.row is not AlarmRow
     if by_set:
@@ -174,11 +176,11 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
             if not by_set:
                 kept = list(map(fresh.standing, kept))
             told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
-            if kind.row is VerdictRow:
+            if kind.row is AssessmentRow:
                 methods = {
                     name: place["method"] for name, place in experiment.configuration["positions"].items()
                 }
-                for row, quality in zip(told, judged_qualities(catalogue, methods, kept), strict=True):
+                for row, quality in zip(told, assessed_qualities(catalogue, methods, kept), strict=True):
                     row["quality"] = quality
             if kind.row is AlarmRow:
                 baselines = catalogue.baselines_by_id()

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive.table_file import table_image
-from daq_service.catalogue.told import ToldColumn
+from daq_service.catalogue.published_columns import PublishedColumn
 from daq_service.errors import UsageError
 from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.web.tables.choice import Choice, Columns
@@ -129,7 +129,7 @@ def _arrow_like(kind: str) -> Write:
     return write
 
 
-def arrow_field(arrow: Any, column: ToldColumn) -> Any:
+def arrow_field(arrow: Any, column: PublishedColumn) -> Any:
     """Field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
@@ -161,14 +161,14 @@ def pyarrow() -> Any:
     return arrow
 
 
-def _arrays(columns: Sequence[ToldColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
+def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
     """All rows as an array a column."""
     parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(column: ToldColumn, values: list[Any]) -> NDArray[Any]:
+def as_array(column: PublishedColumn, values: list[Any]) -> NDArray[Any]:
     """Give values of a column as an array that has a value for "not available"."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from daq_service.assessment.methods import METHODS
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import VerdictRow
-from daq_service.judgement.methods import METHODS
+from daq_service.catalogue.rows import AssessmentRow
 from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import Method
 
 
-def judged_qualities(
-    catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[VerdictRow]
+def assessed_qualities(
+    catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[AssessmentRow]
 ) -> list[str | None]:
     """Give the quality beside each verdict; ``methods`` are those of the positions."""
     if not rows:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import ArchiveError, FolderSetReader, SetReference
+from daq_service.assessment.methods import METHODS
 from daq_service.catalogue import Catalogue
+from daq_service.catalogue.published_columns import PublishedColumn
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import SetRow, ShotRow
-from daq_service.catalogue.told import ToldColumn
 from daq_service.errors import UsageError
-from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hours
 from daq_service.web.tables.choice import Columns, last_inside
 from hardware_drivers.measurement import Waveform
@@ -27,8 +27,8 @@ MOST_SETS = 100_000
 BYTES_A_SAMPLE = 8
 
 
-def _column(name: str, form: Any, unit: str = "") -> ToldColumn:
-    return ToldColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
+def _column(name: str, form: Any, unit: str = "") -> PublishedColumn:
+    return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 
 OF_RECORD = (

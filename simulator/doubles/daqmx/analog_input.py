@@ -378,7 +378,7 @@ def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
                 run.strike = run.codes = run.done_ns = None
 
 
-def begun_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
+def started_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
     """Correct what counted on an edge of a pulse that ends now, before its time."""
     for task in bench.tasks.values():
         run = task.run

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.daqmx.analog_input import begun_by, forget_strike
+from simulator.doubles.daqmx.analog_input import forget_strike, started_by
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
@@ -121,7 +121,7 @@ class CounterOutput:
         cut(bench, task, 0, now_ns, cause)
         if run.pulse is not None and run.pulse.end_ns > now_ns:
             for name in (task.channel.pin, task.channel.internal_output):
-                begun_by(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
+                started_by(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:

@@ -138,19 +138,23 @@ def test_contributions_do_not_depend_on_units(random):
     assert contributions(new * units, scaled) == pytest.approx(contributions(new, plain), rel=1e-9, abs=1e-12)
 
 
-VERDICTS = st.lists(st.sampled_from([True, False, None]), max_size=60)
+ASSESSMENTS = st.lists(st.sampled_from([True, False, None]), max_size=60)
 
 
-def alarm_states(verdicts, rule):
-    states = accumulate(verdicts, lambda state, one: next_alarm_state(state, one, rule), initial=AlarmState())
+def alarm_states(assessments, rule):
+    states = accumulate(
+        assessments, lambda state, one: next_alarm_state(state, one, rule), initial=AlarmState()
+    )
     return list(states)[1:]
 
 
-@given(verdicts=VERDICTS, k=st.integers(1, 5), spare=st.integers(0, 3))
-def test_alarm_state_follows_from_the_judged_sets_alone(verdicts, k, spare):
+@given(assessments=ASSESSMENTS, k=st.integers(1, 5), spare=st.integers(0, 3))
+def test_alarm_state_follows_from_the_judged_sets_alone(assessments, k, spare):
     rule = AlarmRule(k=k, n=k + spare)
-    judged = [verdict for verdict in verdicts if verdict is not None]
-    with_gaps = [s for s, v in zip(alarm_states(verdicts, rule), verdicts, strict=True) if v is not None]
+    judged = [assessment for assessment in assessments if assessment is not None]
+    with_gaps = [
+        s for s, v in zip(alarm_states(assessments, rule), assessments, strict=True) if v is not None
+    ]
     assert with_gaps == alarm_states(judged, rule)
     for place, state in enumerate(with_gaps):
         window = judged[max(0, place + 1 - rule.n) : place + 1]

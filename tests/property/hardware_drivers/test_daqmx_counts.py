@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.daqmx_brains import running_brain
+from support.daqmx_models import running_brain
 from support.daqmx_rig import board, counts_of_the_twin, meet, parameters_of, quick_description, take, why_no
 
 from hardware_drivers.daqmx import open_daqmx

@@ -16,23 +16,23 @@ from support.served_web import served
 
 from daq_service import client
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import VerdictRow
-from daq_service.catalogue.told import with_parts
+from daq_service.catalogue.published_columns import with_parts
+from daq_service.catalogue.rows import AssessmentRow
 from daq_service.client.connection import Connection, parsed
 from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.tokens import create_token
 
 N_SETS = 60
 TABLES = {
     "features": lambda test: test.features(),
     "features?scope=shot&position=B": lambda test: test.features("B", scope="shot"),
-    "verdicts?position=B&from_h=5&to_h=20": lambda test: test.verdicts("B", from_h=5, to_h=20),
+    "verdicts?position=B&from_h=5&to_h=20": lambda test: test.assessments("B", from_h=5, to_h=20),
     "thickness": lambda test: test.thickness(),
     "sets?position=C": lambda test: test.sets("C"),
     "sets?purpose=any&position=C": lambda test: test.sets("C", purpose="any"),
     "features?purpose=confirmation": lambda test: test.features(purpose="confirmation"),
-    "verdicts?purpose=confirmation": lambda test: test.verdicts(purpose="confirmation"),
+    "verdicts?purpose=confirmation": lambda test: test.assessments(purpose="confirmation"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
     "annotations": lambda test: test.annotations(),
@@ -87,7 +87,7 @@ def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, s
     with service.client() as http:
         path, _, asked = resource.partition("?")
         page = http.get(f"/api/v1/{path}?limit=1000&{asked}").json()
-    items = [with_parts(VerdictRow, item) if path == "verdicts" else item for item in page["items"]]
+    items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
         for value, told in zip(here[column], [item[column] for item in items], strict=True):
@@ -164,7 +164,7 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
         (lambda test: test.waveforms("X"), "the positions are A, B, C, D"),
         (lambda test: test.waveforms("B", 3, from_h=1.0), "either set_index or a range"),
         (lambda test: test.features("X"), "There is no position 'X'. The positions are A, B, C, D."),
-        (lambda test: test.verdicts(from_h=5, to_h=1), "Let to_h be at least from_h"),
+        (lambda test: test.assessments(from_h=5, to_h=1), "Let to_h be at least from_h"),
     ],
 )
 def test_what_cannot_be_says_why(asked, said, of_folder, of_service):

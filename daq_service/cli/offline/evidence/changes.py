@@ -14,24 +14,24 @@ import orjson
 
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
+    AssessmentRow,
     BaselineRow,
     EventRow,
     FeatureRow,
     Row,
     ThicknessRow,
-    VerdictRow,
     values,
 )
 from hardware_drivers.measurement import in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 ONSETS = ("alarm_raised", "alarm_returned")
-NOT_SAID = frozenset({"id", "created_utc_ns"})
+NOT_COMPARED = frozenset({"id", "created_utc_ns"})
 """Columns that say when and where a row was stored, not what it means."""
 LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
 """Columns of a baseline that a person's step changes."""
 EXTRACTED = (FeatureRow, ThicknessRow)
-JUDGED = (BaselineRow, VerdictRow)
+JUDGED = (BaselineRow, AssessmentRow)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +178,7 @@ def _rows(
     """Return set and columns of each row by position and set, baselines by position and number."""
     found: dict[tuple[str, int], tuple[int, dict[str, Any]]] = {}
     baselines: Counter[str] = Counter()
-    left_out = NOT_SAID if up_to_set is None or kind is not BaselineRow else NOT_SAID.union(LIFE)
+    left_out = NOT_COMPARED if up_to_set is None or kind is not BaselineRow else NOT_COMPARED.union(LIFE)
     rows: list[Any] = catalogue.rows(kind, position=position, scope="set" if kind is FeatureRow else None)
     for row in rows:
         set_index = row.last_set_index if kind is BaselineRow else row.set_index

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 import orjson
 
-from daq_service.cli.offline.evidence.explained import explained
-from daq_service.cli.offline.evidence.judged_again import told_progress
-from daq_service.cli.offline.evidence.page_of_alarm import comes_out_again, facts_of, page_of, title_of
+from daq_service.cli.offline.evidence.alarm_page import comes_out_again, facts_of, page_of, title_of
+from daq_service.cli.offline.evidence.explanation import explained
+from daq_service.cli.offline.evidence.reassess import printed_progress
 from daq_service.errors import StorageUnavailableError, UsageError
 from daq_service.processes.data_folder import new_folder
 from daq_service.shared_file import write_durably
@@ -31,9 +31,9 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
     if there := [path for path in (page, facts_file) if path.exists() and not overwrite]:
         raise UsageError(f"{there[0]} exists; choose another --out, or replace it with --overwrite")
-    found = explained(data_dir, alarm_id, told_progress)
+    found = explained(data_dir, alarm_id, printed_progress)
     # Brings matplotlib along, which the rest does not need.
-    from daq_service.cli.offline.evidence.pictures import pictures_of
+    from daq_service.cli.offline.evidence.figures import pictures_of
 
     facts = orjson.dumps(
         {**facts_of(found), "files": [str(page), str(facts_file)]}, option=orjson.OPT_SERIALIZE_NUMPY

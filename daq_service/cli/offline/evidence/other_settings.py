@@ -12,7 +12,7 @@ from daq_service.errors import UsageError
 from daq_service.settings.stored import KeyPath, flattened, nested, renamed, stored_settings
 from daq_service.settings.tree import Settings
 
-JUDGING: Mapping[str, frozenset[str] | None] = {
+ASSESSMENT_KEYS: Mapping[str, frozenset[str] | None] = {
     "features": None,
     "ultrasound": None,
     "baseline": None,
@@ -24,11 +24,11 @@ JUDGING: Mapping[str, frozenset[str] | None] = {
 a test is taken, kept or shown, which no later judgement changes."""
 
 
-def judging_keys() -> list[str]:
+def assessment_keys() -> list[str]:
     """Name every key that may be set."""
     return [
         f"{table}.{key}"
-        for table, keys in JUDGING.items()
+        for table, keys in ASSESSMENT_KEYS.items()
         for key in _table(table).model_fields
         if keys is None or key in keys
     ]
@@ -48,10 +48,10 @@ def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
         path = tuple(key.strip().split("."))
         if not equals or not all(path):
             raise UsageError(f"--set {text}: write KEY=VALUE, for example alarms.decides_by=chart")
-        if len(path) < 2 or path[0] not in JUDGING or path[1] not in _names(path[0]):
+        if len(path) < 2 or path[0] not in ASSESSMENT_KEYS or path[1] not in _names(path[0]):
             raise UsageError(
                 f"--set {'.'.join(path)}: this key is not known, or does not say how records are judged; "
-                f"these do: {', '.join(judging_keys())}"
+                f"these do: {', '.join(assessment_keys())}"
             )
         if path in found:
             raise UsageError(f"--set {'.'.join(path)} is given twice; leave one out")
@@ -88,7 +88,7 @@ def _replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
 
 
 def _names(table: str) -> frozenset[str]:
-    return JUDGING[table] or frozenset(_table(table).model_fields)
+    return ASSESSMENT_KEYS[table] or frozenset(_table(table).model_fields)
 
 
 def _table(name: str) -> type[BaseModel]:

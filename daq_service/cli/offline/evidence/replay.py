@@ -14,9 +14,9 @@ import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
+from daq_service.assessment.baseline_lifecycle import planned
 from daq_service.catalogue import Catalogue, open_catalogue
-from daq_service.catalogue.rows import FeatureRow, VerdictRow
-from daq_service.cli.offline.evidence.ahead import ExtractedAhead
+from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.cli.offline.evidence.changes import (
     EXTRACTED,
     JUDGED,
@@ -27,28 +27,28 @@ from daq_service.cli.offline.evidence.changes import (
     differences,
     onsets,
 )
-from daq_service.cli.offline.evidence.judged_again import (
-    Progress,
-    catalogue_beside,
-    judge_again,
-    stored_features,
-    told_progress,
-)
+from daq_service.cli.offline.evidence.features_ahead import ExtractedAhead
 from daq_service.cli.offline.evidence.other_settings import changed, parsed
+from daq_service.cli.offline.evidence.reassess import (
+    Progress,
+    assess_again,
+    printed_progress,
+    stored_features,
+    temporary_catalogue,
+)
 from daq_service.errors import UsageError
-from daq_service.judgement.life import planned
 from daq_service.processes.data_folder import refuse_other_folders
 from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE
 
-TELLING = ("row", "cause", "outlier", "chart_alarm")
+PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
 """Columns that are told first: what becomes of a set, before the numbers behind it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NotJudged:
+class NotAssessed:
     """All sets of a position belong to its baseline, or to one that is never complete.
 
     Attributes
@@ -83,7 +83,7 @@ class Replayed:
     extracted: bool
     extractor_version: str
     sets: int
-    not_judged: list[NotJudged]
+    not_assessed: list[NotAssessed]
     alarms: AlarmChanges
     differences: list[Difference]
 
@@ -103,7 +103,7 @@ def run_replay(
     by = None
     if extract:
         by = checked_name(executor or "threads", workers), workers or usable_cores()
-    found = replayed(data_dir, given, extract_by=by, progress=told_progress)
+    found = replayed(data_dir, given, extract_by=by, progress=printed_progress)
     if as_json:
         click.echo(json.dumps(asdict(found)))
         return
@@ -140,12 +140,12 @@ def replayed(
         stored = stack.enter_context(open_catalogue(folder))
         experiment = stored.experiment_row()
         settings = changed(experiment.configuration, settings_given)
-        again = stack.enter_context(catalogue_beside(experiment))
-        judge = partial(judge_again, stored, again, folder, settings, progress=progress)
+        again = stack.enter_context(temporary_catalogue(experiment))
+        assess_set = partial(assess_again, stored, again, folder, settings, progress=progress)
         if extract_by is None:
             versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
             extractor = _one_extractor(versions)
-            sets = judge(partial(stored_features, stored))
+            sets = assess_set(partial(stored_features, stored))
         else:
             extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
             executor = stack.enter_context(opened_executor(name, workers))
@@ -158,7 +158,7 @@ def replayed(
                 read=archive.read_set,
                 references=iter([files[index] for index in sorted(files, key=in_order)]),
             )
-            sets = judge(ahead.features, read_set=ahead.read_set)
+            sets = assess_set(ahead.features, read_set=ahead.read_set)
         last = max(sets, key=in_order, default=None)
         return Replayed(
             experiment=experiment.name,
@@ -166,8 +166,10 @@ def replayed(
             extracted=extract_by is not None,
             extractor_version=extractor,
             sets=len(sets),
-            not_judged=[
-                one for name in settings.names_of(SOLITARY_WAVE) for one in _not_judged(name, again, settings)
+            not_assessed=[
+                one
+                for name in settings.names_of(SOLITARY_WAVE)
+                for one in _not_assessed(name, again, settings)
             ],
             alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
             differences=differences(
@@ -176,13 +178,13 @@ def replayed(
         )
 
 
-def _not_judged(position: str, again: Catalogue, settings: Settings) -> Iterator[NotJudged]:
+def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
     """Tell that no set of a position lies behind its baseline: no alarm says so."""
-    found = again.columns(VerdictRow, ("set_index", "in_baseline"), position=position)
+    found = again.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
     its, last_set = planned(position, settings, again.baseline(position)), max(found["set_index"])
-    yield NotJudged(
+    yield NotAssessed(
         position=position,
         first_set_index=its.first_set,
         last_set_index=its.last_set,
@@ -224,7 +226,7 @@ def in_words(found: Replayed) -> Iterable[str]:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
-    for unjudged in found.not_judged:
+    for unjudged in found.not_assessed:
         yield unjudged.told
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
@@ -243,7 +245,7 @@ def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
             columns[name] = max(columns.get(name, row), row, key=lambda one: one.n_rows)
     for (table, position), columns in by_place.items():
         alike: dict[tuple[int, int], list[str]] = {}
-        for name in sorted(columns, key=lambda name: (*TELLING, name).index(name)):
+        for name in sorted(columns, key=lambda name: (*PROCESS_EVENTS, name).index(name)):
             row = columns[name]
             alike.setdefault((row.n_rows, row.first_set_index), []).append(row.column)
         told = [

@@ -10,7 +10,7 @@ from analysis.waves.record_reduction import ExtractionSettings, Given, reduce_re
 
 SCENE = Scene(noise_fraction=0.0)
 NOISE = 0.01
-TOLD = (
+MOST_LISTED = (
     "tof_mf_s",
     "tof_pp_s",
     "tof_ac_s",
@@ -40,7 +40,7 @@ def shots(rate_hz, ends_hz, n):
 )
 def test_noise_that_ends_in_band_is_told_by_its_slow_part(rate_hz, ends_hz, within):
     found = shots(rate_hz, ends_hz, 150)
-    for name in TOLD:
+    for name in MOST_LISTED:
         scatter = np.std([getattr(shot, name) for shot in found], ddof=1)
         assert np.median([shot.sd[name] for shot in found]) == pytest.approx(scatter, rel=within), name
 

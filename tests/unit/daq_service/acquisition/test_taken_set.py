@@ -107,8 +107,8 @@ def test_the_same_words_are_not_said_twice():
 
 
 def test_trouble_is_told_with_its_class():
-    assert taken_set().told_trouble() == ""
-    assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).told_trouble() == (
+    assert taken_set().instrument_error() == ""
+    assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).instrument_error() == (
         "BusyError: owned by LabVIEW: slot 3"
     )
 

@@ -8,7 +8,7 @@ import pytest
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.guidance import GUIDANCE, as_markdown
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
-from daq_service.alarms.states import NOT_JUDGED
+from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.corrosion_drive.watch import SEVERITIES
 
 ROOT = Path(__file__).parents[4]
@@ -21,7 +21,7 @@ def test_the_how_to_shows_the_table() -> None:
 
 
 def test_every_kind_that_the_code_raises_is_in_it() -> None:
-    kinds = {CLOCK_DOUBTED, NOT_JUDGED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
+    kinds = {CLOCK_DOUBTED, NOT_ASSESSED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
     for room in RAISED_IN:
         for file in (ROOT / "daq_service" / room).glob("*.py"):
             for condition in re.findall(

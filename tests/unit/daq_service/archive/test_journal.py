@@ -16,11 +16,11 @@ from daq_service.archive import (
     CorruptArchiveError,
     FolderArchive,
     SetNotFoundError,
-    compaction,
+    finalize_set,
     reader,
 )
-from daq_service.archive.compaction import compact_set
 from daq_service.archive.errors import ArchiveReadError
+from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.journal import writer
 from daq_service.archive.journal.reader import contents, read_journal, segments
 from daq_service.archive.journal.writer import Journal
@@ -209,7 +209,7 @@ def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, mon
     archive.store_set(make_set())
 
     with monkeypatch.context() as patch:
-        patch.setattr(compaction, "read_shared", no_file(number))
+        patch.setattr(finalize_set, "read_shared", no_file(number))
         with pytest.raises(OSError, match=re.escape(os.strerror(number))):
             compact_set(tmp_path, SET_INDEX)
     compact_set(tmp_path, SET_INDEX)

@@ -13,7 +13,7 @@ from support.damaging import PAGE, damaged
 from support.memory_archive import bits
 
 from daq_service.archive import FolderArchive, SetNotFoundError
-from daq_service.archive.compaction import compact_set
+from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.journal import frames as frame_format
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import read_journal, segment_path
@@ -128,7 +128,7 @@ def journal(tmp_path):
     return tmp_path
 
 
-def told_by(folder):
+def parsed_line(folder):
     """Everything that a start would take from the journal."""
     found = read_journal(folder)
     return {
@@ -146,7 +146,7 @@ def test_a_journal_as_it_was_written_is_clean(journal):
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
 def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers):
     path = segment_path(journal, 1)
-    content, before = path.read_bytes(), told_by(journal)
+    content, before = path.read_bytes(), parsed_line(journal)
     used = len(content.rstrip(b"\0"))
     whole = [*(frame.end for frame in frame_format.frames(content))]
     for number in numbers:
@@ -160,7 +160,7 @@ def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers)
             # It ends early, as after a crash: what is left is read, and no value is another one.
             assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
         else:
-            assert found.damages or told_by(journal) == before, number
+            assert found.damages or parsed_line(journal) == before, number
         assert all(file == "journal/000001.journal" for file, _ in found.damages)
 
 

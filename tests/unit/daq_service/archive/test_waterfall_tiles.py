@@ -11,8 +11,8 @@ from support.memory_archive import MemoryArchive
 
 from daq_service.archive import PositionRecord
 from daq_service.archive.waterfall.cells import anchors_of, frame_of, of_record
-from daq_service.archive.waterfall.keeping import keep_set, tiles_of
-from daq_service.archive.waterfall.picture import SETS_AT_ONCE, Wanted, WaterfallReader
+from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
+from daq_service.archive.waterfall.tile_files import keep_set, tiles_of
 from daq_service.archive.waterfall.tiles import LEVELS, TILES_FOLDER, n_bytes
 
 N_SETS = 70

@@ -23,8 +23,10 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     OtherExperimentError,
 )
+from daq_service.catalogue.row_checksum import storable
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     BaselineRow,
     EnvironmentRow,
     EventRow,
@@ -32,9 +34,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
-from daq_service.catalogue.sealed import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
@@ -129,8 +129,8 @@ def feature_row(index, position, shot_index, sequence=None, **changes):
     )
 
 
-def verdict_row(index, position, in_baseline=False, **changes):
-    return VerdictRow(
+def assessment_row(index, position, in_baseline=False, **changes):
+    return AssessmentRow(
         **{
             "set_index": index,
             "position": position,
@@ -198,7 +198,7 @@ def baseline_row(name="B-1", position="B"):
 
 def commit_of(index, positions="BC"):
     """A set of two shots a position, its mean feature, verdict and event; A has an echo."""
-    rows = {name: [] for name in ("sets", "shots", "features", "verdicts", "thickness", "events")}
+    rows = {name: [] for name in ("sets", "shots", "features", "assessments", "thickness", "events")}
     for number, position in enumerate(positions):
         sequence = 100 * index + 10 * number + 1
         rows["events"].append(event_row(position=position, set_index=index))
@@ -211,7 +211,7 @@ def commit_of(index, positions="BC"):
         rows["shots"] += [shot_row(index, position, k, sequence + k) for k in range(2)]
         rows["features"] += [feature_row(index, position, k, sequence + k) for k in range(2)]
         rows["features"].append(feature_row(index, position, None, n_valid=2))
-        rows["verdicts"].append(verdict_row(index, position))
+        rows["assessments"].append(assessment_row(index, position))
     return SetCommit(**rows)
 
 
@@ -354,7 +354,7 @@ def test_what_is_committed_is_read_back(writer, reader):
         (commit.shots[1:3], reader.rows(ShotRow, position="B", set_index=3)),
         (commit.features[:2], reader.rows(FeatureRow, position="B", scope="shot")),
         (commit.features[2:3], reader.rows(FeatureRow, position="B", scope="set")),
-        (commit.verdicts, reader.rows(VerdictRow)),
+        (commit.assessments, reader.rows(AssessmentRow)),
         (commit.thickness, reader.rows(ThicknessRow, position="A")),
     ):
         assert len(given) == len(found) > 0
@@ -383,7 +383,7 @@ def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
         SetCommit(shots=[shot_row(9, "B", 0, 1)]),
         SetCommit(shots=[shot_row(0, "B", 0, 999)]),
         SetCommit(features=[feature_row(0, "B", None)]),
-        SetCommit(verdicts=[verdict_row(0, "B")]),
+        SetCommit(assessments=[assessment_row(0, "B")]),
         SetCommit(features=[feature_row(9, "B", 0, sequence=4711)]),
         SetCommit(sets=[set_row(5, "B", method=None)]),
     ],
@@ -408,13 +408,13 @@ def test_what_is_no_number_is_stored_as_not_available(tmp_path, writer, reader, 
     writer.commit_set(
         SetCommit(
             features=[feature_row(0, "B", None, tof_pp_s=value, psw_area_v_s=1.5)],
-            verdicts=[verdict_row(0, "B", contributions={"tof_pp_s": value})],
+            assessments=[assessment_row(0, "B", contributions={"tof_pp_s": value})],
             events=[event_row(payload={"values": [value, 1.0]})],
         )
     )
     (row,) = reader.rows(FeatureRow, position="B", scope="set")
     assert (row.tof_pp_s, row.psw_area_v_s) == (None, 1.5)
-    assert reader.rows(VerdictRow, position="B")[0].contributions == {"tof_pp_s": None}
+    assert reader.rows(AssessmentRow, position="B")[0].contributions == {"tof_pp_s": None}
     assert reader.events_after(0)[-1].payload == {"values": [None, 1.0]}
     stored = sqlite3.connect(tmp_path / "catalogue.sqlite")
     assert stored.execute("SELECT typeof(tof_pp_s) FROM features").fetchall() == [("null",)]
@@ -425,12 +425,14 @@ def test_numbers_of_numpy_are_stored_as_numbers(writer, reader):
     row = feature_row(np.int64(0), "B", None, tof_pp_s=np.float32(0.5), n_valid=np.int32(7))
     writer.commit_set(
         SetCommit(
-            features=[row], baselines=[baseline_row()], verdicts=[verdict_row(0, "B", outlier=np.bool_(True))]
+            features=[row],
+            baselines=[baseline_row()],
+            assessments=[assessment_row(0, "B", outlier=np.bool_(True))],
         )
     )
     (found,) = reader.rows(FeatureRow, position="B", scope="set")
     assert (found.set_index, found.tof_pp_s, found.n_valid) == (0, 0.5, 7)
-    assert reader.rows(VerdictRow, position="B")[0].outlier is True
+    assert reader.rows(AssessmentRow, position="B")[0].outlier is True
     baseline = reader.baseline("B")
     assert (baseline.mean, baseline.covariance) == ([3.3e-4], [[1e-12]])
 
@@ -461,7 +463,7 @@ def test_every_answer_is_ready_for_strict_json(writer, reader):
         reader.rows(ShotRow, position="B", set_index=0),
         reader.rows(FeatureRow, position="B", scope="set"),
         reader.rows(ThicknessRow, position="A"),
-        reader.rows(VerdictRow, position="B"),
+        reader.rows(AssessmentRow, position="B"),
         reader.columns(FeatureRow, ["due_h", "tof_pp_s"], position="B", scope="set"),
         reader.baseline("B"),
         reader.rows(BaselineRow),
@@ -481,18 +483,18 @@ def test_every_answer_is_ready_for_strict_json(writer, reader):
 
 def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
     writer.commit_set(
-        SetCommit(verdicts=[verdict_row(0, "B", True, distance_squared=None, reason="waiting")])
+        SetCommit(assessments=[assessment_row(0, "B", True, distance_squared=None, reason="waiting")])
     )
-    writer.commit_set(SetCommit(verdicts=[verdict_row(1, "B", True, distance_squared=None)]))
+    writer.commit_set(SetCommit(assessments=[assessment_row(1, "B", True, distance_squared=None)]))
     writer.commit_set(
         SetCommit(
-            verdicts=[
-                verdict_row(0, "B", True, distance_squared=3.0, reason=None),
-                verdict_row(2, "B", True, distance_squared=5.0),
+            assessments=[
+                assessment_row(0, "B", True, distance_squared=3.0, reason=None),
+                assessment_row(2, "B", True, distance_squared=5.0),
             ]
         )
     )
-    rows = reader.rows(VerdictRow, position="B")
+    rows = reader.rows(AssessmentRow, position="B")
     assert [(row.set_index, row.distance_squared, row.reason) for row in rows] == [
         (0, 3.0, None),
         (1, None, None),
@@ -501,25 +503,27 @@ def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
 
 
 def test_a_verdict_after_the_baseline_is_final(writer, reader):
-    writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
+    writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
     for in_baseline in (False, True):
         with pytest.raises(CatalogueConflictError):
-            writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", in_baseline)]))
-    assert reader.rows(VerdictRow, position="B")[0].outlier is True
+            writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", in_baseline)]))
+    assert reader.rows(AssessmentRow, position="B")[0].outlier is True
 
 
 def test_a_judged_set_does_not_leave_the_baseline(writer, reader):
-    writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", True)]))
+    writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", True)]))
     with pytest.raises(CatalogueConflictError):
-        writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
-    assert reader.rows(VerdictRow, position="B")[0].in_baseline is True
+        writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
+    assert reader.rows(AssessmentRow, position="B")[0].in_baseline is True
 
 
 def test_a_verdict_may_name_the_baseline_of_the_same_commit(writer, reader):
     row = replace(baseline_row(), id=17)
-    committed = writer.commit_set(SetCommit(baselines=[row], verdicts=[verdict_row(0, "B", baseline_id=17)]))
+    committed = writer.commit_set(
+        SetCommit(baselines=[row], assessments=[assessment_row(0, "B", baseline_id=17)])
+    )
     assert committed.baseline_ids == [17]
-    assert reader.rows(VerdictRow, position="B")[0].baseline_id == 17
+    assert reader.rows(AssessmentRow, position="B")[0].baseline_id == 17
 
 
 # Events, alarms, commands ---------------------------------------------------------------------
@@ -672,7 +676,7 @@ def test_features_are_asked_for_by_hours_inclusive(filled):
     assert [
         row.set_index for row in filled.rows(FeatureRow, position="C", after_id=page[-1].id, scope="set")
     ] == [2, 3, 4, 5]
-    assert [row.set_index for row in filled.rows(VerdictRow, position="B", first_h=4.5)] == [5]
+    assert [row.set_index for row in filled.rows(AssessmentRow, position="B", first_h=4.5)] == [5]
     assert [row.set_index for row in filled.rows(ThicknessRow, position="A", last_h=0.0)] == [0]
 
 
@@ -708,7 +712,7 @@ def told(kind, **payload):
 
 def test_a_hold_stands_until_its_release(writer, reader):
     assert reader.held() is None
-    assert reader.last_told("hold", "release") is None
+    assert reader.last_service_event("hold", "release") is None
     for commit, held in (
         (told("hold", held="held by ann"), "held by ann"),
         (told("recorder_started"), "held by ann"),
@@ -717,7 +721,7 @@ def test_a_hold_stands_until_its_release(writer, reader):
     ):
         writer.commit_set(commit)
         assert reader.held() == held
-    assert reader.last_told("recorder_started", "release").kind == "release"
+    assert reader.last_service_event("recorder_started", "release").kind == "release"
     # Words of other topics are no words of the service.
     writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
     assert reader.held() == "held by bob: door"
@@ -729,7 +733,7 @@ def test_trends_come_as_columns(filled):
         "tof_pp_s": [3.3e-4 + 1e-6 * 4, 3.3e-4 + 1e-6 * 5],
     }
     assert len(filled.columns(FeatureRow, ["due_h"], position="B", scope="shot")["due_h"]) == 12
-    assert filled.columns(VerdictRow, ["distance_squared"], position="B", limit=2) == {
+    assert filled.columns(AssessmentRow, ["distance_squared"], position="B", limit=2) == {
         "distance_squared": [4.5, 4.5]
     }
     assert filled.columns(ThicknessRow, ["thickness_m"], position="A", last_h=1.0) == {

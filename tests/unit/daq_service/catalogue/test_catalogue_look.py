@@ -3,14 +3,14 @@
 import sqlite3
 from contextlib import ExitStack
 
-from support.begun_experiment import begun_catalogue
+from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.verification import CatalogueLook
 
 
 def test_a_recorder_that_starts_while_rows_are_read_is_no_damage(tmp_path):
-    begun_catalogue(tmp_path).close()
+    new_catalogue(tmp_path).close()
     with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
 
         class Changed:

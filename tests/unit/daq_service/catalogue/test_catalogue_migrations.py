@@ -20,7 +20,7 @@ from daq_service.catalogue import connection, open_catalogue
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
 from daq_service.catalogue.rows import EnvironmentRow, ShotRow
 from daq_service.catalogue.tables import metadata
-from daq_service.orders.deadline import look_at_order
+from daq_service.commands.deadline import command_state
 
 
 def schema_of(path):
@@ -173,7 +173,7 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
         # Nobody carries out what was ordered before the update.
-        order, left_s = look_at_order(catalogue, 5)
+        order, left_s = command_state(catalogue, 5)
         assert (order.state, left_s) == ("expired", 0.0)
         assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2
     migrated, described = schema_of(path), tmp_path / "described.sqlite"

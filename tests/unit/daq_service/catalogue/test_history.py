@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from support.begun_experiment import begun_catalogue, tell
+from support.new_experiment import new_catalogue, tell
 
 from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
@@ -15,7 +15,7 @@ from daq_service.catalogue.rows import CommandRow, EventRow, SetRow
 
 @pytest.fixture
 def catalogue(tmp_path):
-    with begun_catalogue(tmp_path) as catalogue:
+    with new_catalogue(tmp_path) as catalogue:
         yield catalogue
 
 

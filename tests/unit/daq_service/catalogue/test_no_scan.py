@@ -5,20 +5,20 @@ import re
 
 import pytest
 from sqlalchemy import event, func, select
-from support.begun_experiment import begun_catalogue
+from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import SetCommit, open_catalogue
-from daq_service.catalogue.pyramid import trend_bins, trend_part
 from daq_service.catalogue.reader import due_time_counts
+from daq_service.catalogue.rollups import trend_bins, trend_part
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AssessmentRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
     SetRow,
     ShotRow,
     ThicknessRow,
-    VerdictRow,
 )
 from daq_service.catalogue.tables import events, shots
 
@@ -29,7 +29,7 @@ GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", 
 def random_catalogue(folder, seed):
     """Sets of a probe and two transducers, many with something missing, all in the order of the plan."""
     chance, sequence = random.Random(seed), 0
-    catalogue = begun_catalogue(folder)
+    catalogue = new_catalogue(folder)
     for index in range(30):
         commit, due = SetCommit(), {"set_index": index, "due_h": index / 2}
         for position, method in POSITIONS.items():
@@ -56,7 +56,7 @@ def random_catalogue(folder, seed):
                 commit.thickness.append(ThicknessRow(**found, sequence=sequence, travel_time_s=time_s))
             elif n_taken:
                 commit.features.append(FeatureRow(**found, shot_index=None, sequence=None, n_valid=n_taken))
-                commit.verdicts.append(VerdictRow(**own, in_baseline=False, limit_name="f_predictive"))
+                commit.assessments.append(AssessmentRow(**own, in_baseline=False, limit_name="f_predictive"))
         if chance.random() < 0.3:
             word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
             kind = chance.choice(["hold", "release", "recorder_started"])
@@ -97,7 +97,7 @@ SCOPES = [{"scope": scope, **of} for scope in ("set", "shot") for of in PLACES]
 ASKED = [
     *((SetRow, filters) for filters in [{}, *HOURS, *OF_A_POSITION, *STATES]),
     *((FeatureRow, filters) for filters in SCOPES),
-    *((kind, filters) for kind in (ThicknessRow, VerdictRow) for filters in PLACES),
+    *((kind, filters) for kind in (ThicknessRow, AssessmentRow) for filters in PLACES),
     *((EnvironmentRow, filters) for filters in [{}, *HOURS]),
     *((AlarmRow, filters) for filters in [{}, {"active": True}, {"active": False}]),
     (ShotRow, {"position": "B", "set_index": 5}),
@@ -136,7 +136,7 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
             for told, kind, filters in (
                 (word.last_set, SetRow, {}),
                 (word.last_feature, FeatureRow, {"scope": "set"}),
-                (word.last_verdict, VerdictRow, {}),
+                (word.last_verdict, AssessmentRow, {}),
                 (word.last_thickness, ThicknessRow, {}),
             ):
                 found = plainly(catalogue.rows(kind), {"position": position, **filters})
@@ -145,8 +145,8 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         said = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
         held = [row for row in said if row.kind in ("hold", "release")]
         assert catalogue.rows(EventRow, topic="service") == said
-        assert catalogue.last_told("hold", "release") == (held[-1] if held else None)
-        assert catalogue.last_told("recorder_stopped") is None
+        assert catalogue.last_service_event("hold", "release") == (held[-1] if held else None)
+        assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
         assert catalogue.committed_sets() == {row.set_index for row in rows}
         assert catalogue.committed_sets({3, 99}) == {3}
@@ -186,7 +186,7 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.events_after(7)
         catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position="B")
         catalogue.rows(EventRow, topic="alarms", position="B")
-        for kind in (SetRow, FeatureRow, VerdictRow):
+        for kind in (SetRow, FeatureRow, AssessmentRow):
             catalogue.rows(kind, purpose="confirmation")
         catalogue.rows(EventRow, topic="service")
         catalogue.open_commands()
@@ -225,7 +225,7 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
             assert step != "USE TEMP B-TREE FOR ORDER BY" or few, (sql, values, steps)
 
 
-@pytest.mark.parametrize("kind", [SetRow, FeatureRow, VerdictRow])
+@pytest.mark.parametrize("kind", [SetRow, FeatureRow, AssessmentRow])
 @pytest.mark.parametrize("ended", [{"last_h": 1.0}, {"last_set": 1}])
 def test_a_range_s_end_ends_the_search_beside_that_of_the_plan(tmp_path, kind, ended):
     with random_catalogue(tmp_path, 0) as catalogue:

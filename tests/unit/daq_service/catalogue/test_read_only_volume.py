@@ -4,7 +4,7 @@ import os
 from types import SimpleNamespace
 
 import pytest
-from support.begun_experiment import begun_catalogue
+from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME, _cannot_change
@@ -12,7 +12,7 @@ from daq_service.catalogue.connection import FILE_NAME, _cannot_change
 
 @pytest.mark.skipif(not hasattr(os, "statvfs"), reason="Windows tells no such thing")
 def test_a_catalogue_on_a_read_only_volume_is_read_without_a_file_beside_it(tmp_path, monkeypatch):
-    begun_catalogue(tmp_path).close()
+    new_catalogue(tmp_path).close()
     told = os.statvfs(tmp_path)
     read_only = SimpleNamespace(f_flag=told.f_flag | os.ST_RDONLY)
     monkeypatch.setattr(os, "statvfs", lambda path: read_only)

@@ -61,8 +61,8 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
         (rows.SetRow, "method", String),
         (rows.SetRow, "ended_utc_ns", BigInteger),
         (rows.FeatureRow, "tof_pp_s", Float),
-        (rows.VerdictRow, "outlier", Boolean),
-        (rows.VerdictRow, "contributions", JSON),
+        (rows.AssessmentRow, "outlier", Boolean),
+        (rows.AssessmentRow, "contributions", JSON),
         (rows.AlarmRow, "proof", JSON),
     ],
 )
@@ -92,7 +92,7 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
             for end in ("from", "to")
             for unit in ("h", "utc")
         }
-    if kind is rows.VerdictRow:
+    if kind is rows.AssessmentRow:
         answer["quality"] = "good"
     if kind is rows.AlarmRow:
         answer["proof_sentences"] = ["Raised at hour 1.50 of the test."]

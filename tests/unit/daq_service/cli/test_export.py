@@ -21,8 +21,8 @@ from daq_service.archive import FolderArchive
 from daq_service.archive.layout import build_image
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow, ThicknessRow
-from daq_service.cli.keeping.export import export_hdf5
 from daq_service.cli.main import cli
+from daq_service.cli.maintenance.export import export_hdf5
 from daq_service.errors import StorageUnavailableError, UsageError
 from daq_service.settings.tree import Settings
 

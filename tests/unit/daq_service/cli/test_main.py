@@ -55,7 +55,7 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
 
     monkeypatch.setattr(run, "prepare_data_folder", fail)
     by_hand = solimon_here(command, "--data-dir", str(tmp_path), env={})
-    again = solimon_here(command, "--data-dir", str(tmp_path), "--restarted-because", "crashed", env={})
+    again = solimon_here(command, "--data-dir", str(tmp_path), "--restart-reason", "crashed", env={})
     assert (by_hand.returncode, again.returncode) == (4, 1)
     assert again.returncode not in FINAL_CODES
     assert f"{error}, then start again" in by_hand.stderr
@@ -97,11 +97,11 @@ def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
 ) -> None:
     given: list[str] = []
 
-    def give_order(kind: str, *, note: str, **options: object) -> int:
+    def send_command(kind: str, *, note: str, **options: object) -> int:
         given.append(note)
         return 0
 
-    monkeypatch.setattr("daq_service.orders.give.give_order", give_order)
+    monkeypatch.setattr("daq_service.commands.send.send_command", send_command)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     questions: list[str] = []
     monkeypatch.setattr("click.prompt", lambda text, **options: questions.append(text) or "hands in the rig")
@@ -125,7 +125,7 @@ def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> No
 def test_a_web_service_of_a_test_that_has_begun_waits_for_its_folder(tmp_path: Path) -> None:
     """Its supervisor started it again: the disk may come back."""
     folder = tmp_path / "data"
-    again = ("--restarted-because", "crashed")
+    again = ("--restart-reason", "crashed")
     done = solimon_here("serve", "--data-dir", str(folder), *again, env={})
     assert done.returncode == 1
     assert "bring back the test's own folder" in done.stderr

@@ -58,4 +58,4 @@ def test_a_configuration_is_checked_without_telling_secrets(config, receiver, tm
     assert "duty.secret cannot be read" in capsys.readouterr().err
     (tmp_path / "data").mkdir()
     with pytest.raises(UsageError, match=r"duty\.secret cannot be read"):
-        serve_alone(config=config, data_dir=tmp_path / "data", port=0, restarted_because="", supervised=False)
+        serve_alone(config=config, data_dir=tmp_path / "data", port=0, restart_reason="", supervised=False)

@@ -78,8 +78,8 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
-    feature, verdict = word["last_feature"], word["last_verdict"]
-    distance, chart = verdict["distance_squared"], verdict["chart"]
+    feature, assessment = word["last_feature"], word["last_verdict"]
+    distance, chart = assessment["distance_squared"], assessment["chart"]
     assert word["chart"] == {"statistic": chart, "limit": LIMIT_CHART}
     waves = f"ToF {1e6 * feature['tof_pp_s']:.1f} us, AR {feature['amplitude_ratio']:.3f}"
     rest = f"good, n = 1  0 s  {SETS - 1} done"
@@ -102,12 +102,12 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
 def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     assert not any(line.startswith("verdict") for line in told(facts))
-    told_of = {"sentence": "the wave has changed", "action": "inspect"}
+    experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
     for name, cause, probability in (("B", "wall", 0.97), ("C", "cannot tell", 0.98), ("D", "ok", 0.9)):
         facts["positions"][name]["last_verdict"] |= {
             "cause": cause,
             "cause_probability": probability,
-            "cause_told": told_of,
+            "cause_told": experiment_text,
         }
     lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("verdict")]
     assert lines == [
@@ -201,10 +201,14 @@ def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFo
     assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
     index = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
     facts = describe_status(filled.folder, filled.settings)
-    told_of = facts["confirmations"]
-    assert told_of["left_today"] == {"B": 2, "C": 1, "D": 2}, "a person's are not counted"
-    assert (told_of["sets"], told_of["last"]["position"], told_of["last"]["confirms"]) == (1, "C", True)
-    assert (told_of["last"]["set_index"], told_of["last"]["age_h"]) == (index, 0.0)
+    experiment_text = facts["confirmations"]
+    assert experiment_text["left_today"] == {"B": 2, "C": 1, "D": 2}, "a person's are not counted"
+    assert (
+        experiment_text["sets"],
+        experiment_text["last"]["position"],
+        experiment_text["last"]["confirms"],
+    ) == (1, "C", True)
+    assert (experiment_text["last"]["set_index"], experiment_text["last"]["age_h"]) == (index, 0.0)
     assert line_of(told(facts), "confirm") == (
         "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
@@ -240,7 +244,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_
     filled.catalogue.commit_set(
         SetCommit(
             baselines=[frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=why)],
-            verdicts=[replace(filled.verdict("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
+            assessments=[replace(filled.assessment("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
         )
     )
     lines = status_of(filled)
@@ -323,7 +327,9 @@ def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
     assert row.startswith(" D  learning  ToF ")
     assert "  none yet  -  good, n = 1  " in row
     filled.catalogue.commit_set(
-        SetCommit(verdicts=[replace(filled.verdict("D", 0, 0.5), limit_f=None, distance_squared=12_345.0)])
+        SetCommit(
+            assessments=[replace(filled.assessment("D", 0, 0.5), limit_f=None, distance_squared=12_345.0)]
+        )
     )
     assert " D² 1.2e+04, ToF " in line_of(status_of(filled), " D")
     filled.close()

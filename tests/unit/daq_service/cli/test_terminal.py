@@ -11,7 +11,7 @@ import pytest
 from support.waiting import happened
 
 from daq_service.cli import terminal
-from daq_service.cli.terminal import Telling, duration, open_page, why_no_screen
+from daq_service.cli.terminal import ProgressReport, duration, open_page, why_no_screen
 
 ALARM = {"change": "alarm_raised", "hour": 12.5, "severity": "high", "message": "hole at C: inspect"}
 GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door open"}
@@ -22,7 +22,7 @@ class Log:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.tell = Telling(mono_s=lambda: self.now_s)
+        self.tell = ProgressReport(mono_s=lambda: self.now_s)
 
     def after(self, seconds: float, event: str, **values: Any) -> None:
         self.now_s += seconds

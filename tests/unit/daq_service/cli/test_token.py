@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from support.command_line import solimon_here
 
-from daq_service.orders.audit import read_audit
-from daq_service.web.doors.tokens import create_token, read_tokens, revoke_token
+from daq_service.commands.audit import read_audit
+from daq_service.web.auth.tokens import create_token, read_tokens, revoke_token
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
 TEXT_LENGTH = 43  # 256 bits as base64

@@ -7,7 +7,7 @@ from support.serial_rig import TestClock
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.charge import Command, DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive, no_supply, summary
+from daq_service.corrosion_drive.drive import SupplyLogger, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ClimateReading
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
@@ -53,7 +53,7 @@ class Bench:
         for name, value in supply.items():
             setattr(self.supply, name, value)
         self.probe = ScriptedProbe(self.clock)
-        self.drive = ElectrochemicalDrive(
+        self.drive = SupplyLogger(
             self.supply, self.clock, PARAMETERS, DriveState() if state is None else state
         )
         self.climate = ClimateLog(self.probe, self.clock, CLIMATE)

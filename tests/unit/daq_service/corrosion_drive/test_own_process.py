@@ -13,8 +13,8 @@ from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
-from daq_service.corrosion_drive.kept import kept_now, look_at_drive, read_kept, write_kept
 from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action, own_supply
+from daq_service.corrosion_drive.supply_state import kept_now, look_at_drive, read_kept, write_kept
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError

@@ -14,9 +14,9 @@ from daq_service.corrosion_drive.channel import HOST, Server, opened, sealed
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.drive import Reply
 from daq_service.corrosion_drive.guard import DriveGuard
-from daq_service.corrosion_drive.kept import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, ENDS_WITHIN_S, RemoteDrive, answered_within_s
+from daq_service.corrosion_drive.supply_state import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters

@@ -3,7 +3,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from support.begun_experiment import begun_catalogue
+from support.new_experiment import new_catalogue
 
 import daq_service.processes.data_folder
 from daq_service.catalogue import open_catalogue
@@ -172,7 +172,7 @@ def test_a_folders_own_configuration_is_a_hint(
 
 def test_a_persons_own_file_is_never_replaced_by_the_catalogue(tmp_path: Path) -> None:
     (tmp_path / "mine.json").write_text("{")
-    with begun_catalogue(tmp_path), pytest.raises(UsageError, match="not valid json"):
+    with new_catalogue(tmp_path), pytest.raises(UsageError, match="not valid json"):
         settings_and_folder(tmp_path / "mine.json", tmp_path)
 
 

@@ -7,9 +7,9 @@ import pytest
 from support.filled_folder import FilledFolder
 
 from daq_service.archive import SetReference
-from daq_service.archive.waterfall.keeping import keep_file
+from daq_service.archive.waterfall.tile_files import keep_file
 from daq_service.archive.waterfall.tiles import kept_cells, n_bytes, planned_bytes
-from daq_service.cli.run import tell_of_a_full_disk
+from daq_service.cli.run import report_full_disk
 from daq_service.processes import disk_policy
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch, disk_space, outlook
 from daq_service.settings.tree import Settings, StorageSettings
@@ -130,6 +130,6 @@ def test_a_full_volume_is_told_before_anything_waits_for_it(tmp_path, monkeypatc
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
         volume = SimpleNamespace(total=100 * GB, free=free * GB)
         monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
-        tell_of_a_full_disk(tmp_path, Settings(), said.append)
+        report_full_disk(tmp_path, Settings(), said.append)
         assert [line.partition(", and")[0] for line in said] == expected
     assert said[0].endswith("free some, the test goes on by itself")

@@ -154,8 +154,8 @@ def test_a_full_disk_below_the_streams_changes_no_exit_code(code: int) -> None:
 
 
 NEWS = """
-from daq_service.cli.terminal import Telling
-with Telling() as telling:
+from daq_service.cli.terminal import ProgressReport
+with ProgressReport() as telling:
     for _ in range(3000):
         telling('waits', why='a rig that does not answer, and a long reason ' * 3)
 print_line('the last word')

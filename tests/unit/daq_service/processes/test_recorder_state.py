@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from support.begun_experiment import begun_catalogue, tell
+from support.new_experiment import new_catalogue, tell
 
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
+from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
-from daq_service.orders.give import give_order
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage, encoded
 from daq_service.processes.recorder_state import Word, look_at_recorder, recorder_state
@@ -139,7 +139,7 @@ def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    with begun_catalogue(tmp_path) as catalogue:
+    with new_catalogue(tmp_path) as catalogue:
         tell(catalogue, "recorder_started")
         stored_set(catalogue)
         yield tmp_path
@@ -203,7 +203,7 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
-            give_order(
+            send_command(
                 kind, config=None, data_dir=folder, note="hands in the rig", author="ann", as_json=False
             )
     context = Context(Settings(), folder)

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from support.begun_experiment import begun_catalogue, tell
+from support.new_experiment import new_catalogue, tell
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
@@ -28,7 +28,7 @@ class Bench:
     """A test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.catalogue = begun_catalogue(folder)
+        self.catalogue = new_catalogue(folder)
         self.hour, self.clock, self.n_sets, self.process = 0.0, "wall", 0, 1
         self.word: Word = "running"
         self.stage: Stage = ""

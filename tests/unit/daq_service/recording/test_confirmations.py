@@ -11,11 +11,11 @@ from support.memory_line import Line, healthy, memory_settings
 from support.stored_files import read_set
 from support.table_rows import lose_catalogue, table_rows
 
-from analysis.causes.hypotheses import COUPLING
-from analysis.causes.verdict import CANNOT_TELL
-from daq_service.catalogue.rows import CommandRow, FeatureRow, SetRow, VerdictRow
-from daq_service.cli.keeping.verify import verify_folder
-from daq_service.judgement.confirmation import ALARM, STEP, confirmation_of
+from analysis.diagnosis.diagnose import UNDETERMINED
+from analysis.diagnosis.hypotheses import COUPLING
+from daq_service.assessment.confirmation import ALARM, STEP, confirmation_of
+from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
+from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.recording.rebuild import rebuild
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 
@@ -126,8 +126,8 @@ def test_a_single_odd_set_is_not_confirmed(line):
     line.run()
     (row,) = beside(line)
     assert row.set_index == AFTER_FIRST
-    (verdict,) = beside(line, VerdictRow)
-    assert (verdict.confirms, verdict.outlier, verdict.in_baseline) == (False, False, False)
+    (assessment,) = beside(line, AssessmentRow)
+    assert (assessment.confirms, assessment.outlier, assessment.in_baseline) == (False, False, False)
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
 
 
@@ -229,10 +229,10 @@ def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_
     run(line, stop=stop)
     line.script = with_incident_wave
     run(line)
-    confirmations = [(row.set_index, row.cause) for row in beside(line, VerdictRow)]
+    confirmations = [(row.set_index, row.cause) for row in beside(line, AssessmentRow)]
     assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
     causes = {row.set_index: row.cause for row in line.rows("verdicts") if row.position == "B"}
-    assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [CANNOT_TELL, COUPLING, COUPLING]
+    assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [UNDETERMINED, COUPLING, COUPLING]
     (alarm,) = (row for row in line.rows("alarms") if row.position == "B")
     assert alarm.kind == "transducer_change"
     assert alarm.proof["confirmation"]["set_index"] == AFTER_THIRD

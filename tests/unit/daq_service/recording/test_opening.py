@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.begun_experiment import begun_catalogue, tell
+from support.new_experiment import new_catalogue, tell
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import RecorderCatalogue, SetCommit
@@ -66,7 +66,7 @@ class Opener:
 
 @pytest.fixture
 def opener(tmp_path: Path) -> Iterator[Opener]:
-    with begun_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
+    with new_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
         tell(catalogue, "recorder_started", "recorder_stopped")
         yield Opener(tmp_path, catalogue)
 
@@ -129,7 +129,7 @@ STOPPED = "the recorder was stopped by its operator"
 def test_the_cause_of_missed_sets_is_what_is_known(
     tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
 ) -> None:
-    with begun_catalogue(tmp_path) as catalogue:
+    with new_catalogue(tmp_path) as catalogue:
         tell(catalogue, *kinds)
         assert cause in _why_not_running(catalogue, found, "")
         assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
@@ -144,6 +144,6 @@ def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
         MOMENT,
         None,
     )
-    told = opener.catalogue.last_told("recorder_started", "recorder_stopped")
+    told = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
     assert told is not None
     assert look_at_recorder(opener.folder, [told.kind]).word == "stopped"

@@ -13,8 +13,9 @@ from support.refused_recorders import Stop, Time, record
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
-from daq_service.alarms.states import NOT_JUDGED
+from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.archive.layout import build_image
+from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
@@ -25,9 +26,8 @@ from daq_service.catalogue.experiment_file import (
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
-from daq_service.judgement.results import results_in
 from daq_service.processes.lost_catalogue import lost_catalogue
-from daq_service.recording.experiment import foreign_because
+from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import ShotKey
 
@@ -147,7 +147,7 @@ def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_a
     told = [
         (event.kind, event.set_index)
         for event in line.rows("events")
-        if event.topic == "alarms" and event.payload.get("kind") != NOT_JUDGED
+        if event.topic == "alarms" and event.payload.get("kind") != NOT_ASSESSED
     ]
     assert told == [
         *[("alarm_delay", 3), ("alarm_delay", 5), ("alarm_raised", 5)],
@@ -278,9 +278,9 @@ def test_a_set_of_another_hour_0_is_told_whatever_its_format(line):
         experiment = catalogue.experiment_row()
     record = read_set(set_files(line.folder)[0])
     older = {name: told for name, told in record.provenance.items() if name != "experiment"}
-    assert foreign_because(record, experiment) == ""
-    assert foreign_because(replace(record, provenance=older), experiment) == ""
+    assert foreign_reason(record, experiment) == ""
+    assert foreign_reason(replace(record, provenance=older), experiment) == ""
     later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)
-    assert "hour 0 at 2024-01-01T00:00:01" in foreign_because(later, experiment)
+    assert "hour 0 at 2024-01-01T00:00:01" in foreign_reason(later, experiment)
     other = {**record.provenance, "experiment": {"name": "other", "epoch_utc_ns": 0}}
-    assert "hour 0 at 1970" in foreign_because(replace(record, provenance=other), experiment)
+    assert "hour 0 at 1970" in foreign_reason(replace(record, provenance=other), experiment)

@@ -8,12 +8,12 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from daq_service.archive import ArchiveWriteError
+from daq_service.background.write_retry_queue import WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
-from daq_service.recording.backlog import Backlog
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -151,8 +151,8 @@ def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
 
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
-    monkeypatch.setattr(Backlog, "has_room", property(lambda backlog: len(backlog) < 2))
-    disk, work = FullDisk(line, 3, 10**9), Backlog.work
+    monkeypatch.setattr(WriteRetryQueue, "has_room", property(lambda backlog: len(backlog) < 2))
+    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.work
 
     def freed(backlog):
         """Work as ever; somebody frees the disk when two sets and three gaps wait."""
@@ -160,7 +160,7 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
             disk.left = 0
         work(backlog)
 
-    monkeypatch.setattr(Backlog, "work", freed)
+    monkeypatch.setattr(WriteRetryQueue, "work", freed)
     assert line.run(archive=disk, mono_s=Seconds(100.0))  # each look is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
@@ -249,7 +249,7 @@ class SlowWorker:
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
-    monkeypatch.setattr("daq_service.recording.safekeeping.MOST_UNDER_WAY", 2)
+    monkeypatch.setattr("daq_service.recording.persistence.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
     assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)

@@ -12,7 +12,7 @@ from support.memory_line import Line, healthy, memory_settings
 
 from daq_service.clock import parse_utc, wall
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.processes.service_manager import notify, telling_service_manager
+from daq_service.processes.service_manager import notify, service_manager_notifications
 from hardware_drivers.measurement import ShotKey
 
 pytestmark = pytest.mark.skipif(
@@ -89,7 +89,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
         clock={"kind": "wall"}, schedule={"phases": [{"until_h": 1.0, "interval_h": 0.5}]}
     )
     clock = machine.clock()
-    with telling_service_manager(tell) as told_too:
+    with service_manager_notifications(tell) as told_too:
         heartbeat = Heartbeat(
             folder,
             deadline_s=DEADLINE_S,
@@ -140,7 +140,9 @@ def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: py
 
 def test_what_is_done_is_told_in_one_line() -> None:
     sent: list[tuple[str, ...]] = []
-    with telling_service_manager(lambda event, **values: None, lambda *lines: sent.append(lines)) as tell:
+    with service_manager_notifications(
+        lambda event, **values: None, lambda *lines: sent.append(lines)
+    ) as tell:
         tell("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
     assert sent[0] == (
         "WATCHDOG=1",

@@ -13,7 +13,7 @@ import pytest
 from daq_service.cli.main import main
 from daq_service.cli.reproduce.output import csv_bytes
 from daq_service.cli.sweep.outputs import csv_text
-from daq_service.cli.terminal import Telling
+from daq_service.cli.terminal import ProgressReport
 from daq_service.processes.child import log_to
 from daq_service.settings.foreign_text import plain_output
 from daq_service.web.tables.formats import FORMATS
@@ -60,7 +60,7 @@ def test_no_control_character_reaches_a_terminal(capsys, monkeypatch):
 
 
 def test_an_event_of_a_running_test_is_one_line(capsys):
-    with Telling() as telling:
+    with ProgressReport() as telling:
         telling("alarm", change="alarm_raised", hour=1.0, severity="critical", message=EVIL)
         telling("waits", why=EVIL)
     lines = capsys.readouterr().err.splitlines()

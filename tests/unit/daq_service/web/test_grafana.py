@@ -11,7 +11,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served, served_app
 
 from daq_service.settings.tree import Settings
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.multi_test.app import create_app_of_many
 
 ROOT = Path(__file__).parents[4]
 DASHBOARD = json.loads((ROOT / "examples/grafana/solimon.json").read_text(encoding="utf-8"))

@@ -4,11 +4,11 @@ import logging
 from itertools import pairwise
 
 import pytest
-from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
+from support.reported_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
 from daq_service.processes.notifications import receiver as receiver_module
-from daq_service.processes.notifications.messages import MOST_TOLD
+from daq_service.processes.notifications.messages import MOST_LISTED
 from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
 from daq_service.processes.notifications.webhook import Outcome
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -122,14 +122,14 @@ def test_a_worse_alarm_within_a_delay_loses_no_end_of_one_that_was_told(made):
 
 def test_a_storm_is_one_message_with_its_counts(made):
     bench = made(group_s=10.0)
-    for number in range(MOST_TOLD + 5):
+    for number in range(MOST_LISTED + 5):
         bench.alarms.change(position=f"P{number}", severity="critical" if number == 3 else "medium")
     bench.alarms.change(position="P0", severity="medium", present=False)
     assert bench.run(9.0) == []
     (message,) = bench.run(2.0)
     assert message.title == "26 changes of alarms: 1 critical raised, 24 medium raised, 1 medium over - test"
     assert message.facts["counts"] == {"critical raised": 1, "medium raised": 24, "medium over": 1}
-    assert len(message.facts["alarms"]) == MOST_TOLD
+    assert len(message.facts["alarms"]) == MOST_LISTED
     assert message.facts["not_shown"] == 6
     assert message.text.endswith("And 6 more: 5 medium raised, 1 medium over.")
 

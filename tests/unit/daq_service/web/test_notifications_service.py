@@ -7,8 +7,8 @@ from contextlib import ExitStack
 import pytest
 from support.filled_folder import FilledFolder
 from support.receivers import http_receiver
+from support.reported_alarms import notifying
 from support.served_web import served
-from support.told_alarms import notifying
 from support.waiting import WAIT_S, ended, until
 
 from daq_service.alarms.states import Change, Condition, Moment, update

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from support.filled_folder import FilledFolder
 from support.receivers import HttpReceiver, http_receiver
+from support.reported_alarms import notifying
 from support.served_web import served
-from support.told_alarms import notifying
 from support.waiting import until
 
 from daq_service.processes.data_folder import hold_lock, lock_text

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.receivers import http_receiver
-from support.told_alarms import notifying
+from support.reported_alarms import notifying
 from support.waiting import happened
 
 from daq_service.errors import UsageError

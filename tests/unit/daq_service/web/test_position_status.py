@@ -13,10 +13,10 @@ from test_web_metrics import samples, value
 
 from daq_service import web
 from daq_service.alarms.states import Moment, take_out_of_service
+from daq_service.assessment.position_status import PositionStatus
 from daq_service.cli.status.facts import describe_status
-from daq_service.judgement.standing import PositionStatus
 from daq_service.settings.tree import Settings
-from daq_service.web.many.app import create_app_of_many
+from daq_service.web.multi_test.app import create_app_of_many
 from daq_service.web.routes import report
 
 SETS = 4

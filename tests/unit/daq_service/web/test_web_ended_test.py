@@ -10,7 +10,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 
 from daq_service.catalogue.rows import CommandRow
-from daq_service.orders.audit import read_audit
+from daq_service.commands.audit import read_audit
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H

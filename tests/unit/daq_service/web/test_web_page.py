@@ -7,7 +7,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import brought, served
 
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.tokens import create_token
 from daq_service.web.routes import page
 
 FIRST = ["/api/v1/session", "/healthz", "/api/v1/info", "/api/v1/transducers"]

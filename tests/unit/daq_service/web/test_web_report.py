@@ -19,7 +19,7 @@ from daq_service.catalogue.rows import SetRow, ThicknessRow
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.auth.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
 from daq_service.web.report.figures import GREEN, figure_of
@@ -32,7 +32,7 @@ NOTE = "seen <b>&amp;"
 OF_SERIES = {
     "Time of flight": ("features", "tof_pp_s", 1e6, 3, "µs"),
     "Amplitude ratio": ("features", "amplitude_ratio", 1.0, 4, ""),
-    "Squared distance": ("verdicts", "distance_squared", 1.0, 3, ""),
+    "Squared distance": ("assessments", "distance_squared", 1.0, 3, ""),
     "Wall thickness": ("thickness", "thickness_m", 1e3, 4, "mm"),
 }
 
@@ -140,7 +140,7 @@ def test_the_tables_have_the_figures_of_the_client(filled, page):
                 assert rows[name][0] == str(len(values)) == str(N_SETS)
                 assert rows[name][1:6] == [quantity(value, *shown) for value in expected], (position, name)
         now = {row[0]: row for row in page.tables["How it stands"]}
-        newest = test.verdicts("B").iloc[-1]
+        newest = test.assessments("B").iloc[-1]
         info = test.info()
     assert now["B"][2:5] == [
         f"D² {significant(newest['distance_squared'])}; chart {significant(newest['chart'])}",
@@ -179,7 +179,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                 [
                     ("tof_pp_s", test.features(place.name)),
                     ("amplitude_ratio", test.features(place.name)),
-                    ("distance_squared", test.verdicts(place.name)),
+                    ("distance_squared", test.assessments(place.name)),
                 ],
             )
             svg = ElementTree.fromstring(figure_of(told, place))

@@ -13,11 +13,18 @@ from support.filled_folder import LIMIT_F, FilledFolder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, EventRow, FeatureRow, VerdictRow, values
+from daq_service.catalogue.rows import (
+    AssessmentRow,
+    BaselineRow,
+    EnvironmentRow,
+    EventRow,
+    FeatureRow,
+    values,
+)
 from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.corrosion_drive.supply_state import kept_now, write_kept
 from daq_service.processes.data_folder import DRIVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
@@ -71,7 +78,7 @@ def get(api, path):
         ("/api/v1/features", models.FeaturePage),
         ("/api/v1/features?scope=shot&position=C&set_index=3", models.FeaturePage),
         ("/api/v1/thickness", models.ThicknessPage),
-        ("/api/v1/verdicts", models.VerdictPage),
+        ("/api/v1/verdicts", models.AssessmentPage),
         ("/api/v1/baselines", models.BaselineList),
         ("/api/v1/trends/A", models.Trend),
         ("/api/v1/trends/B", models.Trend),
@@ -252,12 +259,12 @@ def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
 def test_trend_columns_are_the_catalogues_rows(api, filled):
     trend = get(api, "/api/v1/trends/B")
     rows = filled.catalogue.rows(FeatureRow, position="B", scope="set")
-    verdicts = filled.catalogue.rows(VerdictRow, position="B")
+    assessments = filled.catalogue.rows(AssessmentRow, position="B")
     columns = trend["columns"]
     assert {len(column) for column in columns.values()} == {N_SETS}
     assert columns["tof_pp_s"] == [row.tof_pp_s for row in rows]
-    assert columns["distance_squared"] == [row.distance_squared for row in verdicts]
-    assert columns["outlier"] == [row.outlier for row in verdicts]
+    assert columns["distance_squared"] == [row.distance_squared for row in assessments]
+    assert columns["outlier"] == [row.outlier for row in assessments]
     assert trend["units"]["tof_pp_s"] == "s"
     assert trend["units"]["psw_area_v_s"] == "V s"
     assert trend["units"]["amplitude_ratio"] == "1"

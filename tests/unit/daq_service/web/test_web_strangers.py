@@ -10,11 +10,11 @@ from support.filled_folder import FilledFolder
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 
-from daq_service.orders.every import KINDS
+from daq_service.commands.registry import KINDS
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web import bounded_http, server
-from daq_service.web.doors.tokens import KnownTokens, create_token, revoke_token
+from daq_service.web.auth.tokens import KnownTokens, create_token, revoke_token
 
 FAR = Settings(web=WebSettings(host_names=("lab.example.org",), proxy="127.0.0.1"))
 BLANKS = [

@@ -20,8 +20,8 @@ from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
+from daq_service.catalogue.published_columns import with_parts
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.catalogue.told import with_parts
 from daq_service.settings.tree import Settings
 from daq_service.web.routes import tables
 from daq_service.web.tables import choice
@@ -37,13 +37,13 @@ LISTED = {"shot_features": ("features", {"scope": "shot"})}
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    judged = folder.verdict
+    judged = folder.assessment
 
     def with_a_cause(position, index, hour):
         row = judged(position, index, hour)
         return replace(row, cause_told=CAUSE_TOLD) if (position, index) == ("B", 55) else row
 
-    folder.verdict = with_a_cause
+    folder.assessment = with_a_cause
     for index in range(N_SETS):
         folder.add_set(index, stored=index == 0, judged=index != 7)
         folder.add_environment(index)
@@ -194,11 +194,11 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
 
 
 def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
-    verdicts = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
-    assert verdicts["limit_chart"].tolist() == [LIMIT_CHART] * len(verdicts)
-    assert verdicts["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
-    assert verdicts["probability_ok"].dropna().tolist() == [0.1]
-    assert json.loads(verdicts["limits"][0])["chart"] == LIMIT_CHART
+    assessments = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
+    assert assessments["limit_chart"].tolist() == [LIMIT_CHART] * len(assessments)
+    assert assessments["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
+    assert assessments["probability_ok"].dropna().tolist() == [0.1]
+    assert json.loads(assessments["limits"][0])["chart"] == LIMIT_CHART
     baselines = pd.read_csv(io.BytesIO(exported(api, "baselines", "csv"))).set_index("name")
     assert baselines["state"].to_dict() == {
         "B-baseline-1": "approved",

@@ -12,11 +12,11 @@ from support.stored_files import read_set, set_files
 
 from daq_service.archive.waterfall.cells import accepted, anchors_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
+from daq_service.assessment.baseline_lifecycle import renewed
+from daq_service.assessment.results_in_file import results_in
+from daq_service.background.tiles import tiles_again
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.owner import experiment_identity
-from daq_service.judgement.life import renewed
-from daq_service.judgement.results import results_in
-from daq_service.recording.tiling import tiles_again
 from daq_service.settings.tree import Settings
 from daq_service.web.context import context_of
 from daq_service.web.routes.waterfall import MOST_COLUMNS, MOST_ROWS

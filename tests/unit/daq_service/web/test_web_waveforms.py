@@ -16,12 +16,12 @@ from support.stored_files import read_waveform, set_files
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import SetRow
-from daq_service.judgement.transaction import shot_row
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin
-from daq_service.web.streams.live_pictures import decode_header
+from daq_service.web.streams.live_figures import decode_header
 
 
 @pytest.fixture(scope="module")

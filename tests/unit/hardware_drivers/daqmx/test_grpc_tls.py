@@ -10,9 +10,9 @@ import pytest
 from hardware_drivers.daqmx.parameters import DaqmxParameters, GrpcTls, TransducerWiring
 from hardware_drivers.daqmx.translation import translated
 from hardware_drivers.errors import ConfigurationError
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
-from simulator.doubles.doors.grpc_front import GrpcFront
+from simulator.doubles.device_model import Brain
+from simulator.doubles.transports.grpc_front import GrpcFront
 
 grpc = pytest.importorskip("grpc")
 nidaqmx = pytest.importorskip("nidaqmx")

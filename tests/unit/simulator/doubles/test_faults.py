@@ -7,8 +7,8 @@ import pytest
 from support.doubles_bench import Caller, SteppedClock
 from support.waiting import ended, happened
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
+from simulator.doubles.device_model import Brain
 from simulator.doubles.faults import KINDS, Faults, lie
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
 from simulator.doubles.vendor_api.table import TABLE

@@ -2,7 +2,7 @@
 
 import numba
 
-from simulator.numerics.machine_code import compilation_told
+from simulator.numerics.machine_code import compilation_reported
 
 
 def test_a_compilation_is_told_when_it_begins_and_ends_and_only_then() -> None:
@@ -15,7 +15,7 @@ def test_a_compilation_is_told_when_it_begins_and_ends_and_only_then() -> None:
         return 2.0 * inner(x)
 
     told: list[bool] = []
-    with compilation_told(told.append):
+    with compilation_reported(told.append):
         assert outer(1.0) == 4.0
         assert told == [True, False], "the inner loop is compiled for the outer one"
         assert outer(2.0) == 6.0

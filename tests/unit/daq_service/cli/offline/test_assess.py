@@ -15,7 +15,7 @@ from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
 NAMES = ["tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s"]
-TOLD = {
+MOST_LISTED = {
     *("file", "refused", "features_dropped", "n", "n_eff", "phi_pooled", "tail", "suspects", "named"),
     *("left_out", "limits", "count", "first", "alarm", "rows"),
 }
@@ -66,7 +66,7 @@ def test_every_format_says_the_same(tables):
     (npy,) = told(tables[".npy"], "--baseline-rows", 40)
     (csv_,) = told(tables[".csv"], "--baseline-where", "part=healthy")
     (arrow,) = told(tables[".parquet"], "--baseline-where", "part=healthy")
-    assert set(npy) >= TOLD
+    assert set(npy) >= MOST_LISTED
     assert set(npy["limits"]) == set(npy["count"]) == set(npy["first"]) == LIMITS
     assert csv_.pop("columns_assessed") == arrow.pop("columns_assessed") == NAMES
     assert npy.pop("columns_assessed") == [*"01234"]
@@ -82,9 +82,9 @@ def test_every_format_says_the_same(tables):
 
 def test_the_paper_s_limit_stands_beside_what_it_does_not_keep(tables):
     said = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
-    told_of = {line.split()[0]: line for line in said if " limit " in line}
-    assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in told_of["paper_mean_3sd"]
-    assert all("%" not in line for name, line in told_of.items() if name != "paper_mean_3sd")
+    experiment_text = {line.split()[0]: line for line in said if " limit " in line}
+    assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in experiment_text["paper_mean_3sd"]
+    assert all("%" not in line for name, line in experiment_text.items() if name != "paper_mean_3sd")
 
 
 def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):

@@ -16,13 +16,13 @@ from support.drifting_wall import RAISED, drifting_wall
 from support.life_of_a_test import lived
 
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, VerdictRow
+from daq_service.assessment.baseline_lifecycle import signed
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
 from daq_service.cli.offline.evidence import replay
 from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
-from daq_service.cli.offline.evidence.other_settings import changed, judging_keys, parsed
+from daq_service.cli.offline.evidence.other_settings import assessment_keys, changed, parsed
 from daq_service.cli.offline.evidence.replay import in_words, replayed
 from daq_service.errors import UsageError
-from daq_service.judgement.life import signed
 
 
 @pytest.fixture(scope="module")
@@ -123,8 +123,8 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
     limit = of_b["baseline", "limits.f_predictive"]
     assert limit.again < limit.stored
     # Set 15 was judged, and is part of the baseline now.
-    assert of_b["verdict", "in_baseline"].n_rows == 1
-    assert of_b["verdict", "in_baseline"].first_set_index == 15
+    assert of_b["assessment", "in_baseline"].n_rows == 1
+    assert of_b["assessment", "in_baseline"].first_set_index == 15
     assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
 
 
@@ -135,7 +135,7 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
 )
 def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hours, unjudged):
     done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
-    told = json.loads(done.stdout)["not_judged"]
+    told = json.loads(done.stdout)["not_assessed"]
     assert [(one["position"], one["last_set_index"], one["last_set"]) for one in told] == unjudged
     for one in told:
         position, last_set = one["position"], one["last_set"]
@@ -152,7 +152,7 @@ def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hour
 
 def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(line):
     found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
-    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("verdict", "B")}
+    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
     (told,) = [words for words in in_words(found) if words.startswith("verdict B")]
@@ -185,7 +185,7 @@ def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line
     assert settings.alarms.kinds["wall_change"].on_delay_s == 3600.0
     assert settings.novelty.limit == "chi_square"
     assert settings.positions == line.settings.positions
-    table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in judging_keys()}
+    table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in assessment_keys()}
     assert changed(configuration, parsed([f"{key}={json.dumps(value)}" for key, value in table.items()]))
     with pytest.raises(UsageError, match="twice"):
         parsed(["alarms.k=1", "alarms.k=2"])
@@ -254,13 +254,13 @@ def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(
 
 
 def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
-    folder = changed_line(VerdictRow, 20, distance_squared=1.0)
+    folder = changed_line(AssessmentRow, 20, distance_squared=1.0)
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
     told = json.loads(done.stdout)
     (difference,) = told["recomputed"]["differences"]
     assert (done.returncode, told["agrees"]) == (0, False)
     assert (difference["table"], difference["column"], difference["first_set_index"]) == (
-        *("verdict", "distance_squared"),
+        *("assessment", "distance_squared"),
         20,
     )
     assert difference["stored"] == 1.0

@@ -8,8 +8,8 @@ import pytest
 from support.doubles_bench import Caller, SteppedClock
 
 from hardware_drivers.measurement import Calibration, ShotKey
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 from simulator.electronics.transduction import adc_calibration
 from simulator.parameters.electronics import AdcParameters, NoiseParameters

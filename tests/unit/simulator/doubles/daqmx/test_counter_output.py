@@ -3,9 +3,9 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.daqmx.lines import LineRecord, Pulse
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 COUNTER, LINE = "PXI1Slot3/ctr0", "31547526/PFI12"

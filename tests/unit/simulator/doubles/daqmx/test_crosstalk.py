@@ -9,9 +9,9 @@ from support.daqmx_rig import QUICK_TWIN, board, quick_description
 from support.doubles_bench import Caller, SteppedClock
 
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_18_BIT, SLOW
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 RATE_HZ = 10e6

@@ -3,8 +3,8 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, default_description
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 SERIAL, BOARD = SIMULTANEOUS_16_BIT.serial_number, SIMULTANEOUS_16_BIT.name

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.doubles_bench import Caller, SteppedClock
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, default_description, from_json, to_json
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 BOARD = SIMULTANEOUS_16_BIT.name

@@ -3,8 +3,8 @@
 import pytest
 from support.doubles_bench import Caller, SteppedClock, one_board_description
 
-from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
+from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 
 BOARD = "PXI1Slot3"

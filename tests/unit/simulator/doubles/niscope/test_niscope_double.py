@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from simulator.doubles.niscope.brain import ANSWERED
+from simulator.doubles.niscope.device_model import ANSWERED
 from simulator.doubles.vendor_api.entry_points import FLOAT64, INT16, INT32, UINT16, UINT32, Role
 from simulator.doubles.vendor_api.niscope_entry_points import NISCOPE_ENTRY_POINTS, WAVEFORM_INFO
 

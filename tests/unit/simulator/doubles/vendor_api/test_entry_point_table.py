@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from simulator.doubles.brain import HANDLERS, TASK_HANDLERS
-from simulator.doubles.doors.c_source import library_source
+from simulator.doubles.device_model import HANDLERS, TASK_HANDLERS
+from simulator.doubles.transports.c_source import library_source
 from simulator.doubles.vendor_api import entry_points as table
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role, Tail

@@ -1,0 +1,219 @@
+"""Is it the wall? What each set says of its transducer, and how sure that is.
+
+Averages of the logarithms of seven features, of three lengths, are remembered. A cause is a direction (or a
+curve) in the features and a course in time: a wall grows, a re-seat is there from one set to the next. Each
+cause is judged by the likelihood of the three averages together, beside that of a healthy transducer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.diagnosis.hypotheses import COUPLING, OK, WALL
+from analysis.diagnosis.noise import covariances
+from analysis.diagnosis.parameters import FEWEST_GROWN, GROWTHS, POWERS, STEPS, DiagnosisParameters
+from analysis.diagnosis.slopes import COMPONENTS
+from analysis.diagnosis.state import (
+    MOST_AVERAGED,
+    SETTLING,
+    DiagnosisState,
+    after_reseat,
+    weights,
+)
+from analysis.waves.record_reduction import FloatArray
+
+UNDETERMINED = "cannot tell"
+STATED = 0.9
+"""Least probability of a cause that is named."""
+WALL_STATED = 0.96
+"""Of a wall that was not named before, since its alarm stays until the transducer is healthy: where contacts
+move much, tails and re-seats that no design knows make it sure of one too often."""
+FEWEST_AVERAGED = 10
+"""Sets: the three averages of one or two are copies of each other."""
+MOST_REMEMBERED = 2000
+"""Sets after which even the slowest wander has nothing in common with the baseline's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """What a set says.
+
+    Attributes
+    ----------
+    cause
+        `OK`, one of `hypotheses.CAUSES`, or `UNDETERMINED`.
+    probability
+        Of that cause; where it cannot be told, that of the likeliest one, `OK` included.
+    probabilities
+        Of `OK` and of all causes.
+    abrupt
+        Probability that the change came from one set to the next.
+    changes
+        Relative change of each component, by its name: the average of some ten sets.
+    confirmed
+        With a set struck beside the plan.
+    reseated, returned
+        It names a re-seat that was not known before; the contact sits as in the baseline again.
+    """
+
+    cause: str
+    probability: float
+    probabilities: Mapping[str, float]
+    abrupt: float
+    changes: Mapping[str, float]
+    confirmed: bool
+    reseated: bool
+    returned: bool
+
+
+def diagnosis_of(
+    memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
+) -> Diagnosis:
+    """Say what the sets so far mean.
+
+    Parameters
+    ----------
+    suspicious
+        A chart of this transducer alarms, or its k of n.
+    """
+    moved = bool(memory.moved)
+    probabilities, abrupt = _posterior(memory, design, from_moved=moved)
+    likeliest = max(probabilities, key=probabilities.__getitem__)
+    sure = probabilities[likeliest] >= STATED
+    # What grows may be a wall after all, and a step alone be gone with the next strike.
+    contact = likeliest == COUPLING and sure and abrupt >= STATED and bool(memory.confirmation)
+    # A wall does not heal: nothing but a healthy transducer takes it back.
+    contact &= not memory.wall
+    unsure = (likeliest == COUPLING and not contact) or (memory.wall and likeliest != WALL)
+    # Of many healthy sets one may look like a wall; two running, a confirmation counting, hardly ever do.
+    twice = memory.likely and probabilities[WALL] >= WALL_STATED
+    unsure |= likeliest == WALL and not (memory.wall or twice)
+    if moved and likeliest == OK:
+        # As it has been since its contact moved, whatever a chart says that knows nothing of that.
+        named = likeliest = COUPLING
+        probabilities = probabilities | {OK: probabilities[COUPLING], COUPLING: probabilities[OK]}
+    elif likeliest != OK and sure and not unsure:
+        named = likeliest
+    else:
+        named = UNDETERMINED if suspicious or likeliest != OK else OK
+    changes = memory.changes[1]
+    return Diagnosis(
+        cause=named,
+        probability=probabilities[OK if named == OK else likeliest],
+        probabilities=probabilities,
+        abrupt=abrupt,
+        changes={name: math.expm1(change) for name, change in zip(COMPONENTS, changes, strict=True)},
+        confirmed=bool(memory.confirmation) or moved,
+        reseated=contact,
+        returned=moved and _is_nearer_to_its_baseline(memory, design),
+    )
+
+
+def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
+    """Compare the average of some ten sets with the two places that are known, once it holds that many."""
+    away, moved = (memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True))
+    return memory.n >= FEWEST_AVERAGED and bool(away @ away < moved @ moved)
+
+
+def remembering(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
+    """Keep what was named: a wall until the transducer is healthy again, and where its contacts sit."""
+    if assessment.reseated:
+        return after_reseat(memory, memory.confirmation)
+    healthy = assessment.cause in (OK, COUPLING)
+    memory = replace(
+        memory,
+        wall=assessment.cause == WALL or (memory.wall and not healthy),
+        likely=assessment.probabilities[WALL] >= WALL_STATED,
+    )
+    return after_reseat(memory, ()) if assessment.returned else memory
+
+
+def _posterior(
+    memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
+) -> tuple[dict[str, float], float]:
+    """Probability of each cause, and of a step, of what changed since the baseline or since a re-seat."""
+    seen, noise, course = _seen(memory, design, from_moved=from_moved)
+    whole = np.linalg.inv(np.linalg.cholesky(noise))
+    seen, course = whole @ seen @ design.whitening, course @ whole.T
+    length = np.sqrt((course**2).sum(axis=1))
+    along = (course / length[:, None]) @ seen
+    steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
+    growths = _log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
+    log = np.full(design.weights.shape, -np.inf)
+    log[design.abrupt, : len(STEPS)], log[:, len(STEPS) :] = steps, growths
+    beforehand = design.weights.copy()
+    if memory.n + memory.gap < FEWEST_GROWN:
+        beforehand[:, len(STEPS) :] = 0.0
+    share = np.exp(log - log.max()) * beforehand
+    share /= share.sum()
+    of_each = share.sum(axis=1)
+    by_cause = {cause: float(of_each[rows].sum()) for cause, rows in design.rows.items()}
+    return by_cause, float(share[:, : len(STEPS)].sum())
+
+
+def _log_densities(
+    design: DiagnosisParameters, which: NDArray[np.intp] | slice, along: FloatArray, length: FloatArray
+) -> FloatArray:
+    """Give log densities of hypotheses and courses over that of no change, shape (h, s).
+
+    Parameters
+    ----------
+    along, length
+        What is seen along each course, shape (s, 7), and the course's length, shape (s,).
+    """
+    # The seven directions come first: sums of seven neighbours each cost ten times as much.
+    means, variances = design.means[which].T[:, :, None], design.variances[which].T[:, :, None]
+    turned = design.directions[which].transpose(2, 0, 1)
+    parts = (turned.reshape(-1, turned.shape[2]) @ along.T).reshape(*turned.shape[:2], -1) - length * means
+    spread = 1.0 + length**2 * variances
+    explained = (parts**2 / spread).sum(axis=0) + np.log(spread.prod(axis=0))
+    return np.asarray(0.5 * ((along**2).sum(axis=1) - explained))
+
+
+@lru_cache(maxsize=512)
+def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
+    """Averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
+
+    The averages begin with the first of n sets after the baseline. A step lies between two sets, however
+    far apart they are; what grows goes on growing while the plan has a gap.
+    """
+    ago = np.arange(n)
+    steps = ago < STEPS[:, None]
+    planned_ago = ago + gap * (ago >= gap_ago)
+    longest = n + gap  # none began in the baseline
+    grown = np.maximum(1.0 - planned_ago / np.minimum(GROWTHS, longest)[:, None], 0.0)
+    course = np.vstack([steps, *(grown**power for power in POWERS)])
+    return np.asarray(course @ weights(n, confirmation_ago).T)
+
+
+def _seen(
+    memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give what the memory holds, its covariance while nothing changes (a set's is 1), and the courses in it.
+
+    Where the wander stood when the baseline ended tells where it may be now, until a re-seat.
+
+    Returns
+    -------
+    seen, noise, course
+        Shapes (r, 7), (r, r), (s, r).
+    """
+    n, confirmation_ago = (
+        min(max(memory.n, 1), MOST_AVERAGED),
+        memory.confirmation_ago if memory.confirmation else None,
+    )
+    averaged, reference = max(n, FEWEST_AVERAGED), min(n, SETTLING) if from_moved else design.n
+    since = memory.n if from_moved or memory.index is None else memory.index - design.last_index
+    parts = covariances(averaged, min(max(since, averaged), MOST_REMEMBERED), confirmation_ago, reference)
+    seen, noise = memory.averages(from_moved=from_moved), np.tensordot(design.variances_in_time, parts, 1)
+    course = _courses(n, memory.gap, memory.gap_ago, confirmation_ago)
+    ends = len(design.ends)
+    if from_moved:
+        return seen, noise[ends:, ends:], course
+    return np.vstack([design.ends, seen]), noise, np.hstack([np.zeros((len(course), ends)), course])

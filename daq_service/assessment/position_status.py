@@ -1,0 +1,83 @@
+"""How a position stands, in one word, and whether its data is older than it should be."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from daq_service.alarms.states import NOT_ASSESSED, retired_positions
+from daq_service.assessment.methods import METHODS
+from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.catalogue.reader import LastWord
+from daq_service.processes.freshness import Freshness
+from daq_service.settings.tree import ScheduleSettings, Settings
+
+STALE_INTERVALS = 1.5
+"""A set may be late by half an interval before its position counts as stale."""
+
+PositionStatus = Literal[
+    "no_data", "normal", "learning", "not_judged", "outlier", "shelved", "out_of_service", "retired", "alarm"
+]
+"""Statuses of a position in rising urgency: an alarm calls for a person, who knows of a retirement."""
+
+
+def status_of(last: LastWord) -> PositionStatus:
+    """Return the status of a position; of one that has an alarm it never is ``normal``.
+
+    Parameters
+    ----------
+    last
+        Its alarms as they are now (`Freshness.standing_word`): a shelf that has expired hides none.
+    """
+    assessment = last.last_verdict
+    if retired_positions(last.active_alarms):
+        return "retired"
+    if last.last_set is None:
+        return "no_data"
+    how_suppressed = {row.suppressed for row in last.active_alarms if row.kind != NOT_ASSESSED}
+    if None in how_suppressed:
+        return "alarm"
+    if how_suppressed:
+        return "out_of_service" if "out_of_service" in how_suppressed else "shelved"
+    if assessment is not None and assessment.outlier:
+        return "outlier"
+    if not METHODS[last.method].has_baseline or (assessment is not None and assessment.outlier is not None):
+        return "normal"
+    return "learning" if assessment is None or assessment.in_baseline else "not_judged"
+
+
+def limit_of(last: LastWord, settings: Settings) -> float | None:
+    """Return the limit that decides: thickness in m of a probe, of a transducer that of an outlier.
+
+    None: there is none yet.
+    """
+    if not METHODS[last.method].has_baseline:
+        return settings.thinnest_m
+    assessment = last.last_verdict
+    if assessment is None:
+        return None
+    return limits_by_name(assessment).get(assessment.limit_name)
+
+
+def data_hour(last: LastWord) -> float | None:
+    """Return the hour of the newest set with data; None before it.
+
+    A set that was missed, or planned for a retired transducer, brings none: the data age on.
+    """
+    return max(
+        (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None
+    )
+
+
+def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
+    """Tell that the newest set is older than the cadence explains, or nobody records any more."""
+    if age_h is None or fresh.recorder.word in {"silent", "absent", "stopped"}:
+        return True
+    return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
+
+
+def interval_at(schedule: ScheduleSettings, hour: float) -> float:
+    """Hours between two sets at an hour of the test; after the end, the last phase's."""
+    for phase in schedule.phases:
+        if hour <= phase.until_h:
+            return phase.interval_h
+    return schedule.phases[-1].interval_h

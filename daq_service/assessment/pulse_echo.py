@@ -1,0 +1,235 @@
+"""From a pulse-echo record to the wall's thickness and the condition of its alarm (equation 17)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from analysis.errors import AnalysisError
+from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
+from analysis.ultrasound.thickness import (
+    EXTRACTOR_VERSION,
+    EchoReference,
+    ThicknessInterval,
+    TravelTime,
+    reference_echo,
+    standing_in,
+    thickness,
+    thickness_interval,
+    travel_time,
+)
+from analysis.waves.features import ShotFeatures
+from daq_service.acquisition.schedule import DueSet
+from daq_service.alarms.states import Condition
+from daq_service.archive import SetRecord
+from daq_service.assessment.assessor import PositionResult
+from daq_service.catalogue.rows import ThicknessRow
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import PulseEchoRecord, Waveform
+
+FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
+
+
+class PulseEchoAssessor:
+    """Follows the wall under one ultrasonic probe; the first record with an echo is its reference."""
+
+    def __init__(self, position: str, settings: Settings) -> None:
+        self.position = position
+        self._settings = settings
+        self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
+        self._alarm = AlarmState()
+        self._reference: EchoReference | None = None
+
+    def refer_to(self, waveform: Waveform) -> None:
+        """Take the first good record of the test as the reference again."""
+        self._reference = self._take_reference(waveform, self._settings.ultrasound.initial_thickness_m)
+
+    def refer_to_later(self, waveform: Waveform, *, reading: ThicknessRow, first: ThicknessRow) -> None:
+        """Let a later record stand in for the lost one of the first reading.
+
+        Raises
+        ------
+        EchoNotFoundError
+            No back wall stands out.
+        """
+        assert reading.travel_time_s is not None
+        assert reading.thickness_m is not None
+        assert first.travel_time_s is not None
+        self._reference = standing_in(
+            self._take_reference(waveform, reading.thickness_m),
+            travel_time_s=reading.travel_time_s,
+            reference_travel_time_s=first.travel_time_s,
+        )
+
+    def feed(self, row: ThicknessRow) -> None:
+        """Take in a reading: a new one, or one that was judged before."""
+        self._alarm = next_alarm_state(self._alarm, self.too_thin(row), self._rule)
+
+    def reinstate(self) -> None:
+        """Forget nothing: a probe never retires."""
+
+    def assess_set(
+        self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
+    ) -> PositionResult:
+        """Judge the record of this probe, if there is one."""
+        del features
+        echoes = [echo for echo in record.echoes if echo.key.position == self.position]
+        return self.assess(due, echoes[0]) if echoes else PositionResult()
+
+    def assess_unscheduled(
+        self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
+    ) -> PositionResult:
+        """Refuse it: nobody asks a probe to confirm."""
+        raise AssertionError(f"{due} is no set of a striker")
+
+    @property
+    def not_assessed_reason(self) -> str:
+        """Nobody asks a probe to confirm."""
+        return "a probe has no baseline"
+
+    def nothing_taken(self, due: DueSet, n_tried: int) -> PositionResult:
+        """Say nothing: that the probe's instrument did not answer is the rig's alarm."""
+        del due, n_tried
+        return PositionResult()
+
+    def assess(self, due: DueSet, echo: PulseEchoRecord) -> PositionResult:
+        """Thickness of one record."""
+        settings = self._settings.ultrasound
+        row = ThicknessRow(
+            set_index=due.set_index,
+            position=self.position,
+            sequence=echo.sequence,
+            due_h=due.due_h,
+            extractor_version=EXTRACTOR_VERSION,
+            quality="bad",
+        )
+        reason = ""
+        interval: ThicknessInterval | None = None
+        try:
+            if self._reference is None:
+                self.refer_to(echo.waveform)
+                assert self._reference is not None
+            found = travel_time(echo.waveform, self._reference)
+            wall = thickness(
+                found.travel_time_s,
+                self._reference.travel_time_s,
+                settings.delay_s,
+                settings.initial_thickness_m,
+                settings.element_separation_m,
+            )
+            interval = self._interval(found, self._reference)
+        except AnalysisError as error:
+            reason = str(error)
+        else:
+            reason = found.reason
+            row = replace(
+                row,
+                quality=found.quality,
+                travel_time_s=_known(found.travel_time_s),
+                thickness_m=_known(wall.thickness_m),
+                thickness_loss_m=_known(wall.thickness_loss_m),
+                correlation_coefficient=_known(found.correlation_coefficient),
+            )
+        flags = _flags(row, echo)
+        if "clipped" in flags and row.quality == "good":
+            # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
+            row = replace(row, quality="suspect")
+            reason = "the record is clipped: lower the gain or take a larger range"
+        self.feed(row)
+        usable = row.quality != "bad"
+        return PositionResult(
+            thickness=[row],
+            conditions=[self._condition(due, row, interval)],
+            n_valid=int(usable),
+            shot_flags={echo.sequence: flags},
+            invalid=frozenset(() if usable else (echo.sequence,)),
+            note=reason,
+        )
+
+    def interval_m(self, waveform: Waveform) -> tuple[float, float] | None:
+        """Return the ends of the 95 % interval of the thickness that a record shows; None where it has none.
+
+        Raises
+        ------
+        AnalysisError
+            The record has no back wall.
+        """
+        if self._reference is None:
+            return None
+        low_m, high_m = _ends(self._interval(travel_time(waveform, self._reference), self._reference))
+        return (low_m, high_m) if math.isfinite(low_m + high_m) else None
+
+    def _interval(self, found: TravelTime, reference: EchoReference) -> ThicknessInterval:
+        settings = self._settings.ultrasound
+        return thickness_interval(
+            found, reference, settings.initial_thickness_m, settings.element_separation_m
+        )
+
+    def _take_reference(self, waveform: Waveform, thickness_m: float) -> EchoReference:
+        settings = self._settings.ultrasound
+        return reference_echo(
+            waveform,
+            delay_s=settings.delay_s,
+            initial_thickness_m=thickness_m,
+            velocity_m_per_s=settings.velocity_m_per_s,
+        )
+
+    def too_thin(self, row: ThicknessRow) -> bool | None:
+        """Tell whether a reading lies beyond the limit; None where it says nothing."""
+        loss_m = row.thickness_loss_m
+        if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
+            return None
+        return loss_m > self._limit_loss_m
+
+    @property
+    def _limit_loss_m(self) -> float:
+        return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
+
+    def _condition(self, due: DueSet, row: ThicknessRow, interval: ThicknessInterval | None) -> Condition:
+        fraction = self._settings.alarms.thickness_loss_fraction
+        initial_m = self._settings.ultrasound.initial_thickness_m
+        remaining, loss_m = row.thickness_m, row.thickness_loss_m
+        read = "" if remaining is None else f" (now {remaining * 1e3:.2f} mm)"
+        return Condition(
+            position=self.position,
+            kind="thickness",
+            family="damage",
+            severity="high",
+            present=self._alarm.active,
+            times_limit=None if loss_m is None or self.too_thin(row) is None else loss_m / self._limit_loss_m,
+            message=(
+                f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
+                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
+                f"{read}: inspect the wall"
+            ),
+            proof={
+                "formula": FORMULA,
+                "rule": {"k": self._rule.k, "n": self._rule.n},
+                "set_index": due.set_index,
+                "thickness_m": remaining,
+                "interval_m": None if remaining is None or interval is None else _ends(interval),
+                "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
+                "limit_m": self._settings.thinnest_m,
+                "travel_time_s": row.travel_time_s,
+                "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
+                "delay_s": self._settings.ultrasound.delay_s,
+                "extractor_version": EXTRACTOR_VERSION,
+            },
+        )
+
+
+def _known(value: float) -> float | None:
+    """Return the value, None where there is none."""
+    return value if math.isfinite(value) else None
+
+
+def _ends(interval: ThicknessInterval) -> list[float]:
+    """95 % interval of the mean thickness under the beam."""
+    return [interval.low_m, interval.high_m]
+
+
+def _flags(row: ThicknessRow, echo: PulseEchoRecord) -> tuple[str, ...]:
+    """Return the flags of an echo; in a mean of records, clipping shows only in what the instrument says."""
+    clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
+    return (("no_echo",) if row.quality == "bad" else ()) + (("clipped",) if clipped else ())

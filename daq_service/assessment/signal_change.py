@@ -1,0 +1,136 @@
+"""What a transducer's verdicts say of `wall_change` and `transducer_change`: in which words, with what proof.
+
+The chart decides, and beside it a cause that was named the wall; or k of n sets beyond a limit, as the
+configuration says. Where a baseline has no chart, k of n decides in any case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from analysis.diagnosis.hypotheses import WALL
+from analysis.statistics.design import Design, parts_of
+from analysis.statistics.named_limits import CHART
+from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.alarms.states import Condition
+from daq_service.assessment.diagnosis import said
+from daq_service.assessment.solitary_wave_step import Rules, State, alarms
+from daq_service.assessment.stored_limits import limits_by_name, statistic_of
+from daq_service.catalogue.rows import AssessmentRow
+
+FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
+CHART_FORMULA = (
+    "T = (2 - w)/w |z|^2, z = w u + (1 - w) z of the set before, w = 0.1; u: what is new in the set, "
+    "whitened, cut back to the F limit of 1 %"
+)
+CAUSE = "cause"
+"""What raised an alarm that the chart did not."""
+REMEDY = "wall or transducer has changed; inspect"
+
+
+def wall_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
+    """Say it after a set; ``verdict`` is that set's row.
+
+    A change that surely comes from elsewhere is an alarm of the transducer; one whose cause cannot be told is
+    one of the wall (`cause.next_origin`).
+    """
+    design = None if state.baseline is None else state.baseline.design
+    if rules.decides_by == "chart" and design is not None and state.memory is not None:
+        present, times_limit, message, proof = _by_chart(position, design, state, rules, assessment)
+    else:
+        present, times_limit, message, proof = _by_k_of_n(position, state, rules, assessment)
+    message += said(assessment.cause, assessment.cause_probability, assessment.cause_told) or REMEDY
+    elsewhere = state.origin.elsewhere
+    wall = Condition(
+        position=position,
+        kind="wall_change",
+        family="damage",
+        severity="high",
+        present=present and not elsewhere,
+        times_limit=times_limit,
+        known=WALL if assessment.cause == WALL else "",
+        message=message if present else "",
+        proof=proof | _of_every_rule(assessment),
+    )
+    transducer = replace(
+        wall,
+        kind="transducer_change",
+        known="",
+        family="device",
+        severity="medium",
+        present=present and elsewhere,
+    )
+    return [wall, transducer]
+
+
+def _of_every_rule(assessment: AssessmentRow) -> dict[str, Any]:
+    return {
+        "set_index": assessment.set_index,
+        "distance_squared": assessment.distance_squared,
+        "baseline_id": assessment.baseline_id,
+        "extractor_version": EXTRACTOR_VERSION,
+        "cause": assessment.cause,
+        "cause_probability": assessment.cause_probability,
+        "cause_told": assessment.cause_told,
+    }
+
+
+def promise(design: Design, budget: float) -> str:
+    """Say what the chart promises of a healthy sensor."""
+    told = f"{budget:g} false alarms a year"
+    return f"{told}, not promised: {design.why_not_guaranteed}" if design.why_not_guaranteed else told
+
+
+Said = tuple[bool, float | None, str, dict[str, Any]]
+
+
+def _by_chart(position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow) -> Said:
+    memory = state.memory
+    assert memory is not None, "the caller has looked"
+    limit, average = design.limits[CHART], np.array(memory.averages[CHART])
+    parts = parts_of(average)
+    statistic = float(parts.sum())
+    budget = rules.false_alarms_per_sensor_year
+    told = (
+        f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
+        f"({promise(design, budget)}): "
+        if memory.alarming
+        else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
+        f"below its limit of {limit:.1f}: "
+    )
+    proof = {
+        "formula": CHART_FORMULA,
+        "rule": {"false_alarms_per_sensor_year": budget},
+        "raised_by": CHART if memory.alarming else CAUSE,
+        "chart": statistic,
+        "limit_name": CHART,
+        "limit": limit,
+        "contributions": dict(zip(design.baseline.feature_names, parts.tolist(), strict=True)),
+        "rate_guaranteed": not design.why_not_guaranteed,
+        "why_not_guaranteed": design.why_not_guaranteed or None,
+    }
+    return alarms(state, rules), statistic / limit, told, proof
+
+
+def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> Said:
+    alarm, rule = state.alarm, rules.alarm
+    limit, value = (
+        limits_by_name(assessment).get(assessment.limit_name),
+        statistic_of(assessment, assessment.limit_name),
+    )
+    told = (
+        f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
+        f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
+    )
+    proof = {
+        "formula": FORMULA,
+        "rule": {"k": rule.k, "n": rule.n},
+        "limit_name": assessment.limit_name,
+        "limit": limit,
+        "contributions": assessment.contributions,
+    }
+    times_limit = None if value is None or limit is None else value / limit
+    return alarm.active, times_limit, told, proof

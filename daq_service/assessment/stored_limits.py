@@ -1,0 +1,38 @@
+"""Limits and statistics of stored rows by name, whatever version wrote them.
+
+The list of limits is imported when it is needed: SciPy comes with it, which is slow to import.
+"""
+
+from __future__ import annotations
+
+from daq_service.catalogue.rows import AssessmentRow, BaselineRow
+from daq_service.settings.tree import Settings
+
+
+def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
+    """Return the limits of a row; one of an earlier version has two, in columns."""
+    if row.limits is not None:
+        return dict(row.limits)
+    from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
+
+    of_columns = {F_PREDICTIVE: row.limit_f, PAPER_MEAN_3SD: row.limit_paper}
+    return {name: limit for name, limit in of_columns.items() if limit is not None}
+
+
+def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
+    """Return what a limit bounds; None: the set was not judged by it."""
+    from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
+
+    name = LIMITS[limit_name].of
+    columns = {DISTANCE: row.distance_squared, CHART: row.chart}
+    return columns[name] if name in columns else (row.statistics or {}).get(name)
+
+
+def deciding_chart(row: AssessmentRow | None, settings: Settings) -> tuple[float, float] | None:
+    """Return statistic and limit of the chart where it decides; None: it does not, or not yet."""
+    if row is None or row.chart is None or settings.alarms.decides_by != "chart":
+        return None
+    from analysis.statistics.named_limits import CHART
+
+    limit = limits_by_name(row).get(CHART)
+    return None if limit is None else (row.chart, limit)

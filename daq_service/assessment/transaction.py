@@ -1,0 +1,150 @@
+"""Catalogue rows of what was taken and what happened, and the events that tell of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
+from daq_service.alarms.states import Change, Moment
+from daq_service.archive import waveform_crc32
+from daq_service.assessment.assessor import PositionResult
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import (
+    AnnotationRow,
+    BaselineRow,
+    EnvironmentRow,
+    EventRow,
+    Outcome,
+    SetRow,
+    ShotRow,
+    payload_of,
+)
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+
+
+def shot_row(
+    measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
+) -> ShotRow:
+    """Row of a stored record."""
+    return ShotRow(
+        sequence=measurement.sequence,
+        set_index=measurement.key.set_index,
+        position=measurement.key.position,
+        shot_index=measurement.key.shot_index,
+        attempt=measurement.key.attempt,
+        utc_ns=measurement.stamp.utc_ns,
+        mono_ns=measurement.stamp.mono_ns,
+        boot_id=measurement.stamp.boot_id,
+        crc32=waveform_crc32(measurement.waveform),
+        valid=valid,
+        flags=list(flags),
+        outcome=outcome,
+    )
+
+
+class Transaction(SetCommit):
+    """Rows that belong together, filled with the events that tell of them."""
+
+    def add_position(
+        self,
+        its_set: SetRow,
+        measurements: Sequence[Shot | PulseEchoRecord],
+        position_result: PositionResult,
+        moment: Moment,
+        outcomes: Mapping[int, str] = MappingProxyType({}),
+    ) -> None:
+        """Add what a set says of one position; ``outcomes`` name the records that are not accepted."""
+        self.sets.append(its_set)
+        for measurement in measurements:
+            flags = position_result.shot_flags[measurement.sequence]
+            valid = measurement.sequence not in position_result.invalid
+            outcome: Outcome = SUPERSEDED if outcomes.get(measurement.sequence) == SUPERSEDED else ACCEPTED
+            self.shots.append(shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
+        self.features += position_result.features
+        self.thickness += position_result.thickness
+        self.assessments += position_result.assessments
+        tell = partial(self._tell, moment=moment, position=its_set.position, set_index=its_set.set_index)
+        # Whether its file is made already is chance: events say the same in every run.
+        tell("sets", f"set_{its_set.state}", payload_of(replace(its_set, file_sha256=None)))
+        for feature in position_result.features:
+            if feature.shot_index is None:
+                tell("features", "set_features", payload_of(feature))
+        for thickness in position_result.thickness:
+            tell("thickness", "thickness_read", payload_of(thickness))
+        if position_result.baseline is not None:
+            approved_ns = moment.utc_ns if position_result.baseline.state == "approved" else None
+            baseline = replace(
+                position_result.baseline, created_utc_ns=moment.utc_ns, approved_utc_ns=approved_ns
+            )
+            self.baselines.append(baseline)
+            payload = payload_of(baseline, last="created_utc_ns")
+            tell("verdicts", "baseline_frozen", payload)
+        for assessment in position_result.assessments[-1:]:
+            tell("verdicts", "set_judged", payload_of(assessment))
+
+    def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
+        """Add what supply and climate probe said around a set."""
+        self.environment.append(row)
+        self._tell("environment", "environment_read", payload_of(row), moment, set_index=row.set_index)
+
+    def tell(
+        self,
+        kind: str,
+        payload: Mapping[str, Any],
+        moment: Moment,
+        *,
+        position: str | None = None,
+        topic: str = "service",
+    ) -> None:
+        """Add an event of the service itself, or of its machine."""
+        self._tell(topic, kind, payload, moment, position=position, set_index=moment.set_index)
+
+    def add_alarm(self, change: Change, moment: Moment) -> None:
+        """Add an alarm's change; its event carries the id that the catalogue gives."""
+        self.alarm_of_event[len(self.events)] = len(self.alarms)
+        self.alarms.append(change.row)
+        deed = {} if change.author is None else {"author": change.author}
+        self._tell(
+            "alarms",
+            change.event_kind,
+            deed | payload_of(change.row, last="id"),
+            moment,
+            position=change.row.position,
+            set_index=moment.set_index,
+        )
+
+    def annotate(self, row: AnnotationRow, kind: str, moment: Moment) -> None:
+        """Add an annotation, or what becomes of one, with its event."""
+        self.annotation_of_event[len(self.events)] = len(self.annotations)
+        self.annotations.append(row)
+        self._tell("annotations", kind, payload_of(row, last="id"), moment, position=row.position)
+
+    def change_baseline(self, row: BaselineRow, kind: str, moment: Moment) -> None:
+        """Add what a person made of a baseline; the event tells the whole row."""
+        self.baselines.append(row)
+        self._tell("verdicts", kind, payload_of(row), moment, position=row.position)
+
+    def _tell(
+        self,
+        topic: str,
+        kind: str,
+        payload: Mapping[str, Any],
+        moment: Moment,
+        *,
+        position: str | None = None,
+        set_index: int | None = None,
+    ) -> None:
+        self.events.append(
+            EventRow(
+                utc_ns=moment.utc_ns,
+                topic=topic,
+                kind=kind,
+                position=position,
+                set_index=set_index,
+                payload=dict(payload),
+            )
+        )

@@ -1,0 +1,99 @@
+"""The live picture: one small file a position with its latest record.
+
+It is a picture, never a source of truth: written without fsync, at most ten times a second, and
+replaced by rename, so a reader always sees a whole one. Layout: u32 little-endian length of the
+JSON header, the header padded with spaces until the samples start at a multiple of 8, samples.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import struct
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from analysis.waves.features import ShotFeatures
+from daq_service.shared_file import write_hint
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
+
+log = logging.getLogger(__name__)
+
+SHORTEST_INTERVAL_NS, LONGEST_INTERVAL_NS = NS_PER_S // 10, NS_PER_S
+COSTS_BETWEEN = 100
+"""All positions' pictures together take a hundredth of the time: a slow disk makes them rarer, down to one a
+second."""
+MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
+
+
+def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
+    """Header and samples as the bytes of a live file and of a live message."""
+    text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    samples = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
+    return struct.pack("<I", len(text)) + text + samples.tobytes()
+
+
+class LiveFigure:
+    """Writes the live files of one data folder."""
+
+    def __init__(
+        self, folder: Path, rig_kind: str, *, mono_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._folder = folder / "live"
+        with suppress(OSError):  # the first picture tells
+            self._folder.mkdir(exist_ok=True)
+        self._rig_kind = rig_kind
+        self._mono_ns = mono_ns
+        self._written_ns: dict[str, int] = {}
+        self._cost_ns = 0
+        self._refused: int | None = None
+
+    def due(self, position: str) -> bool:
+        """Say whether the last picture of the position is old enough for another."""
+        last = self._written_ns.get(position)
+        pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
+        pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
+        return last is None or self._mono_ns() - last >= pause_ns
+
+    def show(
+        self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
+    ) -> None:
+        """Replace the picture of a position. A failing disk costs the picture, not the shot."""
+        waveform, key = measurement.waveform, measurement.key
+        begun_ns = self._mono_ns()
+        values = {} if features is None else features.values()
+        header = {
+            "position": key.position,
+            "method": measurement.method,
+            "sequence": measurement.sequence,
+            "set_index": key.set_index,
+            "shot_index": key.shot_index,
+            "utc_ns": measurement.stamp.utc_ns,
+            "due_h": due_h,
+            "sample_rate_hz": waveform.sample_rate_hz,
+            "pretrigger_samples": waveform.pretrigger_samples,
+            "coefficients_v": waveform.calibration.coefficients_v.tolist(),
+            "dtype": waveform.counts.dtype.name,
+            "flags": [] if features is None else list(features.flags),
+            "marks": {name: _finite(values.get(name)) for name in MARKS},
+            "written_wall_utc_ns": time.time_ns(),
+            "rig": self._rig_kind,
+        }
+        error = write_hint(self._folder / f"{key.position}.bin", encode(header, waveform))
+        refused = None if error is None else error.errno
+        if error is not None and refused != self._refused:
+            # Once for a full disk, not ten times a second. Windows refuses while somebody reads the old one.
+            log.warning("no live picture of %s: %s", key.position, error)
+        self._refused = refused
+        self._written_ns[key.position] = now_ns = self._mono_ns()
+        self._cost_ns = now_ns - begun_ns
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value

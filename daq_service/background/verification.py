@@ -1,0 +1,138 @@
+"""While nothing is due, stored sets are read one after the other, in the worker's process."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from types import MappingProxyType
+
+from daq_service.archive import SetNotFoundError
+from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_indices
+from daq_service.archive.verification import damage_of
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.errors import StorageError
+
+log = logging.getLogger(__name__)
+
+EVERY_S = 10.0
+"""A set of the paper's test takes some tenths of a second: a few per cent of one core."""
+_TROUBLE = (StorageError, OSError)
+"""Whatever the disk or the catalogue says: the test goes on."""
+QUIET_S = 10.0
+"""Before a set is due the computer is left alone for so long."""
+
+
+class IdleVerification:
+    """Goes through the files of a folder again and again, and knows which are damaged.
+
+    Parameters
+    ----------
+    compaction
+        Whose worker reads the files, when it has nothing else to do.
+    lost
+        Names the files that are gone, and how (`lost_sets`).
+    sha256_of
+        Tells the SHA-256 of a set's file as it was written; None: nobody noted it.
+    note
+        Told set index, file and SHA-256 of a sound file of which nobody noted it.
+
+    Attributes
+    ----------
+    damaged
+        File, relative to the data folder, to what is wrong with it.
+    files_read
+        Files read so far, sound or damaged.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        compaction: SetFinalizer,
+        lost: Callable[[], Mapping[str, str]],
+        sha256_of: Callable[[int], str | None],
+        note: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
+        *,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._folder, self._compaction, self._mono_s = folder, compaction, mono_s
+        self._lost, self._sha256_of, self._note = lost, sha256_of, note
+        self._to_come: list[str] = []
+        self._running: tuple[str, bool, Future[tuple[str, str]]] | None = None
+        self._next_s = mono_s()
+        self.damaged: dict[str, str] = {}
+        self.files_read = 0
+
+    def begin(self, known: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Begin a round: which files there are, and which are gone.
+
+        Parameters
+        ----------
+        known
+            Found damaged by an earlier process: looked at first, and damaged until then.
+        """
+        try:
+            lost = self._lost()
+        except _TROUBLE as error:
+            log.warning("cannot look which sets are gone: %s", error)
+            return
+        files = referenced_sets(path.name for path in (self._folder / SETS_FOLDER).glob("*.h5"))
+        self._to_come = [file for file in files.values() if file not in lost]
+        suspects = {**known, **self.damaged}
+        self._to_come.sort(key=lambda file: file not in suspects)
+        self.damaged = {**{file: suspects[file] for file in self._to_come if file in suspects}, **lost}
+
+    def work(self, free_s: float) -> None:
+        """Take back what is read, and have the next file read if there is time.
+
+        Parameters
+        ----------
+        free_s
+            Time until the next set is due.
+        """
+        if self._running is not None:
+            file, is_noted, future = self._running
+            if future.done():
+                self._running = None
+                self._take_back(file, is_noted, future)
+        elif free_s > QUIET_S and self._mono_s() >= self._next_s:
+            self._next_s = self._mono_s() + EVERY_S
+            if not self._to_come:
+                self.begin()
+            if self._to_come:
+                file = self._to_come[0]
+                try:
+                    sha256 = self._sha256_of(_index_of(file))
+                except _TROUBLE as error:
+                    log.warning("%s is checked later: %s", file, error)
+                    return
+                future_or_none = self._compaction.beside(damage_of, self._folder / file, sha256)
+                if future_or_none is not None:
+                    self._running = file, sha256 is not None, future_or_none
+                    del self._to_come[0]
+
+    def _take_back(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
+        try:
+            told, sha256 = future.result()
+            if not (told or is_noted):
+                self._note(_index_of(file), file, sha256)
+        except SetNotFoundError:
+            told = "is missing"
+        except _TROUBLE as error:
+            log.warning("%s is checked again later: %s", file, error)
+            return
+        except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
+            log.error("%s could not be checked: %s", file, error)
+            return
+        self.files_read += 1
+        if told:
+            self.damaged[file] = told
+        else:
+            self.damaged.pop(file, None)
+
+
+def _index_of(file: str) -> int:
+    (set_index,) = set_indices([Path(file).name])
+    return set_index

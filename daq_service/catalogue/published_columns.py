@@ -1,0 +1,98 @@
+"""Rows as others get them: the API, its client, and tables that are exported have these columns.
+
+Times are RFC 3339 text beside hours of the experiment; a unit is in the name of its column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+from analysis.diagnosis.hypotheses import CAUSES, OK
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Row, columns_of
+from hardware_drivers.units import unit_of
+
+Form = Literal["number", "integer", "truth", "time", "text", "nested"]
+Purposes = Literal["planned", "confirmation", "any"]
+"""Which sets are meant: those of the plan, those beside it, or both."""
+_FORMS: dict[Any, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedColumn:
+    """A column; ``time`` is RFC 3339 text, ``nested`` lists and tables; an empty ``unit``: it has none."""
+
+    name: str
+    form: Form
+    unit: str
+    nullable: bool
+
+
+BESIDE: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
+    BaselineRow: (
+        PublishedColumn(name="from_h", form="number", unit="h", nullable=False),
+        PublishedColumn(name="from_utc", form="time", unit="", nullable=False),
+        PublishedColumn(name="to_h", form="number", unit="h", nullable=False),
+        PublishedColumn(name="to_utc", form="time", unit="", nullable=False),
+        PublishedColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
+    ),
+    AssessmentRow: (PublishedColumn(name="quality", form="text", unit="", nullable=True),),
+    AlarmRow: (PublishedColumn(name="proof_sentences", form="nested", unit="", nullable=False),),
+}
+"""What the service adds: hours and temperatures of a baseline, a judged quality, a proof in sentences."""
+
+
+def _part(name: str, form: Form = "number") -> PublishedColumn:
+    return PublishedColumn(name=name, form=form, unit="", nullable=True)
+
+
+PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
+    BaselineRow: {
+        **{("readiness", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("readiness", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
+        ("readiness", "rate_guaranteed"): _part("rate_guaranteed", "truth"),
+        ("readiness", "why_not_guaranteed"): _part("why_not_guaranteed", "text"),
+        **{("limits", name): _part(f"limit_{name}") for name in ("chart", "default")},
+    },
+    AssessmentRow: {
+        ("limits", "chart"): _part("limit_chart"),
+        **{("cause_told", "probabilities", name): _part(f"probability_{name}") for name in (OK, *CAUSES)},
+    },
+}
+"""What people look for in nested columns, as columns of tables; the nested ones are JSON text there."""
+
+
+def with_parts(kind: type[Row], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Add the columns of `PARTS` to a row; None where there is nothing."""
+    found = dict(told)
+    for path, column in PARTS.get(kind, {}).items():
+        value: Any = told
+        for name in path:
+            value = None if value is None else value.get(name)
+        found[column.name] = value
+    return found
+
+
+def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
+    """Columns of a kind of row in their order, the time of each hour and what is added behind them."""
+    found: dict[str, PublishedColumn] = {}
+    for column in columns_of(kind):
+        name, form = column.name, _form(column.type)
+        if name == "utc_ns" or name.endswith("_utc_ns"):
+            name, form = name.removesuffix("_ns"), "time"
+        unit = unit_of(name) if form in ("number", "integer") else ""
+        found[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
+    for hours in [column for column in found.values() if column.unit == "h"]:
+        name = hours.name.removesuffix("_h") + "_utc"
+        time = PublishedColumn(name=name, form="time", unit="", nullable=hours.nullable)
+        found.setdefault(name, time)
+    return (*found.values(), *BESIDE.get(kind, ()), *PARTS.get(kind, {}).values())
+
+
+def _form(of_type: Any) -> Form:
+    plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
+    if get_origin(of_type) is Literal or get_origin(plain) is Literal:
+        return "text"
+    return _FORMS.get(of_type if get_origin(of_type) else plain, _FORMS.get(plain, "nested"))

@@ -1,0 +1,97 @@
+"""Carry out ``certify``: for a terminal, as a page, as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import click
+from pydantic import ValidationError
+
+from daq_service.cli.maintenance.acceptance.contents import Certificate, as_json, certificate
+from daq_service.cli.maintenance.acceptance.criteria import with_limits
+from daq_service.cli.maintenance.acceptance.evidence import read_evidence
+from daq_service.cli.maintenance.acceptance.page import asked, interval, page
+from daq_service.cli.maintenance.verify import verify_folder
+from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError, StorageUnavailableError, UsageError
+from daq_service.processes.data_folder import OWN_NAMES, refuse_other_folders
+from daq_service.shared_file import HINT_SUFFIX, write_durably
+
+STANDARD_OUTPUT = "-"
+
+
+def certify(
+    *,
+    data_dir: Path,
+    html: Path | None,
+    to_json: str | None,
+    limits: Sequence[str],
+    verify: bool,
+    overwrite: bool,
+    progress: Callable[[int, int], None],
+) -> int:
+    """Make the certificate of a folder; 6 where it does not pass.
+
+    Raises
+    ------
+    UsageError
+        There is no test in the folder, no such limit, or a file to be written is there or among the test's.
+    StorageError
+        The catalogue cannot be read, or a file not be written.
+    """
+    criteria = with_limits(limits)
+    json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
+    refuse_other_folders(data_dir)
+    for target in filter(None, (html, json_file)):
+        _refuse(data_dir, target, overwrite=overwrite)
+    try:
+        made = certificate(
+            read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria
+        )
+    except ValidationError as error:
+        raise StorageError(
+            f"{data_dir} keeps a configuration that this version does not know: {error}; use the one "
+            "that recorded it"
+        ) from error
+    if html is not None:
+        from daq_service.cli.maintenance.acceptance.figures import picture
+
+        pictures = {item.name: picture(item, made.gaps) for item in made.series if item.hours}
+        _write(html, page(made, pictures))
+    told = json.dumps(as_json(made), allow_nan=False)
+    if json_file is not None:
+        _write(json_file, f"{told}\n".encode())
+    click.echo(told if to_json == STANDARD_OUTPUT else "\n".join(_lines(made)))
+    return EXIT_OK if made.outcome == "pass" else EXIT_NOT_MET
+
+
+def _lines(made: Certificate) -> list[str]:
+    """For a person at a terminal."""
+    rows = [
+        (item.state, item.quantity.text, asked(item), interval(item.quantity), item.why)
+        for item in made.comparisons
+    ]
+    widths = [max(len(row[n]) for row in rows) for n in range(4)]
+    lines = [
+        "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[4]]).rstrip()
+        for row in rows
+    ]
+    return [*lines, *(f"note: {note}" for note in made.notes), f"verdict: {made.outcome}"]
+
+
+def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:
+    inside = target.absolute().is_relative_to(folder.absolute())
+    if inside and target.absolute().relative_to(folder.absolute()).parts[0] in OWN_NAMES:
+        raise UsageError(f"{target} would lie among the test's own files; choose another name")
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target} exists; choose another name, or --overwrite")
+
+
+def _write(target: Path, content: bytes) -> None:
+    try:
+        write_durably(target, content, temporary=target.with_name(f".{target.name}{HINT_SUFFIX}"))
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{target} cannot be written: {error.strerror}; choose another"
+        ) from error

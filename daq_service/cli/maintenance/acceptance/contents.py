@@ -1,0 +1,173 @@
+"""A certificate: identity, quantities, what happened, series and verdict, in the shape that its JSON has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+from daq_service.cli.maintenance.acceptance import conduct, faults, sets
+from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
+from daq_service.cli.maintenance.acceptance.evidence import Evidence
+from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
+from daq_service.cli.maintenance.acceptance.readings import readings
+from daq_service.cli.maintenance.acceptance.series import series_of
+from daq_service.clock import format_utc
+
+SHAPE = "1"
+"""Of the JSON: another one where a key goes or changes its meaning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Certificate:
+    """Everything that page and JSON tell; ``gaps`` from hour to hour."""
+
+    made_utc: str
+    made_by: str
+    identity: Mapping[str, str]
+    comparisons: Sequence[Comparison]
+    quantities: Sequence[Quantity]
+    tables: Sequence[Table]
+    series: Sequence[Series]
+    notes: Sequence[str]
+    gaps: Sequence[tuple[float, float]]
+
+    @property
+    def outcome(self) -> str:
+        """Pass, fail or incomplete."""
+        return outcome(self.comparisons)
+
+
+def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificate:
+    """Compute it."""
+    quantities = [
+        *sets.set_quantities(evidence),
+        *conduct.time_quantities(evidence),
+        *conduct.recorder_quantities(evidence),
+        *conduct.growth_quantities(evidence, "resident_bytes", "memory of the recorder", "B"),
+        *conduct.growth_quantities(evidence, "open_handles", "open handles of the recorder", "1"),
+        *conduct.disk_quantities(evidence),
+        *conduct.clock_quantities(evidence),
+        *faults.fault_quantities(evidence),
+    ]
+    return Certificate(
+        made_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        made_by=f"solimon {version('solimon')}",
+        identity=_identity(evidence),
+        comparisons=compared(criteria, {item.name: item for item in quantities}),
+        quantities=quantities,
+        tables=[
+            sets.gap_table(evidence),
+            sets.shortfall_table(evidence),
+            conduct.restart_table(evidence),
+            faults.fault_table(evidence),
+            faults.step_table(evidence),
+            sets.flag_table(evidence),
+            faults.damage_table(evidence),
+        ],
+        series=list(series_of(evidence)),
+        notes=list(_notes(evidence)),
+        gaps=[(gap.from_h, gap.until_h) for gap in sets.gaps(evidence)],
+    )
+
+
+def _identity(evidence: Evidence) -> dict[str, str]:
+    experiment, told = evidence.experiment, evidence.provenance
+    runs = [row.payload for row in evidence.service if row.kind == "recorder_started"]
+    seen = dict.fromkeys(_listed(run.get("versions", {})) for run in runs)
+    unknown = "unknown: no set can be read"
+    configuration = evidence.settings
+    return {
+        "test": experiment.name,
+        "configuration": experiment.configuration_hash,
+        "data folder": str(evidence.folder.absolute()),
+        "hour 0": format_utc(experiment.epoch_utc_ns, 3),
+        "until": format_utc(evidence.now_ns, 3),
+        "clock": experiment.clock,
+        "state": "a copy of a test" if evidence.is_copy else evidence.recorder.description,
+        "positions": ", ".join(
+            f"{name} ({place.method.replace('_', ' ')})" for name, place in configuration.positions.items()
+        ),
+        "instruments": _listed({"rig": configuration.rig.kind, **told.get("rig_identity", {})}),
+        "begun by": f"solimon {experiment.solimon_version}",
+        "versions": "; then ".join(item for item in seen if item) or "unknown: no recorder told them",
+        "machine": ", ".join(
+            filter(None, [told.get("host"), told.get("platform"), f"Python {told.get('python')}"])
+        )
+        if told
+        else unknown,
+    }
+
+
+def _listed(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())
+
+
+def _notes(evidence: Evidence) -> list[str]:
+    told, notes = readings(evidence), []
+    taken = {row.set_index for row in evidence.sets if row.n_taken}
+    without = len(taken) - len({reading.set_index for reading in told} & taken)
+    if without:
+        notes.append(
+            f"{without} of {len(taken)} sets have no reading of the machine: an earlier solimon took "
+            "them, or a recorder took over what another one left."
+        )
+    if evidence.experiment.clock != "wall":
+        notes.append(
+            "Simulated time: hours are those of the test; the wall time of the line is the computer's."
+        )
+    if evidence.recorder.word == "running":
+        notes.append("The test goes on: this is how it stood when the certificate was made.")
+    if evidence.verified is not None:
+        notes += [f"verify, {item.file}: {item.told}" for item in evidence.verified.damage]
+        notes += evidence.verified.notes
+    return notes
+
+
+def as_json(made: Certificate) -> dict[str, Any]:
+    """One object; every number stands beside its unit, or under a name that ends in it."""
+    return {
+        "solimon_certificate": SHAPE,
+        "made_utc": made.made_utc,
+        "made_by": made.made_by,
+        "verdict": made.outcome,
+        "criteria": [
+            {
+                "quantity": item.criterion.quantity,
+                "sense": item.criterion.sense,
+                "limit": item.criterion.limit,
+                "unit": item.quantity.unit,
+                "value": item.quantity.value,
+                "low": item.quantity.low,
+                "high": item.quantity.high,
+                "state": item.state,
+                "why": item.why,
+            }
+            for item in made.comparisons
+        ],
+        "identity": dict(made.identity),
+        "quantities": {item.name: _told(item) for item in made.quantities},
+        "tables": {
+            table.name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+            for table in made.tables
+        },
+        "series": {
+            item.name: {
+                "unit": item.unit,
+                "how": item.how,
+                "hours": list(item.hours),
+                "values": list(item.values),
+                "missing": item.missing,
+            }
+            for item in made.series
+        },
+        "notes": list(made.notes),
+    }
+
+
+def _told(item: Quantity) -> dict[str, Any]:
+    told = asdict(item)
+    del told["name"]
+    return told

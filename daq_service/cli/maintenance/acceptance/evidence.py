@@ -1,0 +1,204 @@
+"""Everything that a certificate is made of, read from a data folder, also beside a running recorder."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.archive import ArchiveError, FolderSetReader
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.errors import CatalogueError
+from daq_service.catalogue.rows import AlarmRow, EventRow, ExperimentRow, SetRow, ShotRow
+from daq_service.catalogue.verification import CatalogueLook
+from daq_service.cli.forecast import built_set_bytes
+from daq_service.cli.maintenance.verify import Report
+from daq_service.processes.data_folder import BACKUP_FILE
+from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.recorder_state import FAREWELLS, RecorderState, look_at_recorder
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H
+
+log = logging.getLogger(__name__)
+
+SHOTS_AT_ONCE = 20_000
+"""Rows that are held as objects."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What a folder tells of its test.
+
+    Attributes
+    ----------
+    planned
+        Every set of the schedule; ``due`` of them should have their rows by now.
+    accepted
+        Records by set and position; of a shot that was struck again one counts.
+    flags
+        Records by what they are flagged with, repeated ones too.
+    service, machine, alarm_events
+        Events of these topics.
+    provenance
+        Of the newest set that can be read; empty: there is none.
+    file_bytes
+        Size of each set's file, by set index.
+    forecast_bytes
+        Size of a whole set's file as `check-config` foretells it.
+    is_copy
+        A backup: nothing will follow in it.
+    verified
+        What `solimon verify` found just now; None: it was not asked.
+    """
+
+    folder: Path
+    experiment: ExperimentRow
+    settings: Settings
+    planned: Sequence[DueSet]
+    due: int
+    sets: Sequence[SetRow]
+    accepted: Mapping[tuple[int, str], int]
+    flags: Mapping[str, int]
+    service: Sequence[EventRow]
+    machine: Sequence[EventRow]
+    alarm_events: Sequence[EventRow]
+    alarms: Sequence[AlarmRow]
+    provenance: Mapping[str, Any]
+    file_bytes: Mapping[int, int]
+    forecast_bytes: float
+    recorder: RecorderState
+    is_copy: bool
+    now_ns: int
+    verified: Report | None = None
+
+    def hour(self, utc_ns: int) -> float:
+        """Hours of the test."""
+        return (utc_ns - self.experiment.epoch_utc_ns) / NS_PER_H
+
+
+def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
+    """Read it; nothing in the folder is changed.
+
+    Raises
+    ------
+    NoDataYetError
+        No test has begun here.
+    CatalogueError
+        The catalogue is damaged, or a newer version's.
+    ValidationError
+        This version knows no such configuration.
+    """
+    with _copied_catalogue(folder) as catalogue:
+        experiment = catalogue.experiment_row()
+        sets = catalogue.rows(SetRow)
+        service = catalogue.rows(EventRow, topic="service")
+        machine = catalogue.rows(EventRow, topic="machine")
+        alarm_events = catalogue.rows(EventRow, topic="alarms")
+        alarms = catalogue.rows(AlarmRow)
+        accepted, flags = _records(catalogue)
+    settings = stored_settings(experiment.configuration)
+    recorder = look_at_recorder(folder, [row.kind for row in service])
+    is_copy = (folder / BACKUP_FILE).exists()
+    now_ns = _now_ns(experiment, sets, service, recorder, ended=is_copy or recorder.word in _ENDED)
+    planned = plan(settings.schedule.phases, experiment.epoch_utc_ns, end_h=settings.schedule.end_h)
+    return Evidence(
+        folder=folder,
+        experiment=experiment,
+        settings=settings,
+        planned=planned,
+        due=_due(planned, sets, now_ns),
+        sets=sets,
+        accepted=accepted,
+        flags=flags,
+        service=service,
+        machine=machine,
+        alarm_events=alarm_events,
+        alarms=alarms,
+        provenance=_provenance(folder),
+        file_bytes=_file_bytes(folder, sets),
+        forecast_bytes=built_set_bytes(settings),
+        recorder=recorder,
+        is_copy=is_copy,
+        now_ns=now_ns,
+        verified=verified,
+    )
+
+
+_ENDED = tuple(word for word, _ in FAREWELLS.values())
+
+
+@contextmanager
+def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
+    """Open a copy, as it is at one moment: an older version's is migrated there, the folder's own stays."""
+    with tempfile.TemporaryDirectory(prefix="solimon-") as place:
+        with CatalogueLook(folder) as look:
+            look.copy_to(Path(place) / FILE_NAME)
+        try:
+            catalogue = open_catalogue(Path(place), writer=True)
+        except CatalogueError as error:
+            raise type(error)(str(error).replace(place, str(folder))) from error
+        with catalogue:
+            yield catalogue
+
+
+def _records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[str]]:
+    """Count accepted records by set and position, and all by their flags."""
+    accepted, flags, last = Counter[tuple[int, str]](), Counter[str](), 0
+    while rows := catalogue.rows(ShotRow, after_id=last, limit=SHOTS_AT_ONCE):
+        accepted.update((row.set_index, row.position) for row in rows if row.outcome == "accepted")
+        flags.update(flag for row in rows for flag in row.flags)
+        last = rows[-1].sequence
+    return accepted, flags
+
+
+def _now_ns(
+    experiment: ExperimentRow,
+    sets: Sequence[SetRow],
+    service: Sequence[EventRow],
+    recorder: RecorderState,
+    *,
+    ended: bool,
+) -> int:
+    """Time of the test until which sets should be there: of one that has ended, or is simulated, its last."""
+    last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
+    if ended or experiment.clock != "wall":
+        return last
+    return max(last, time_now_ns(recorder.beat) or time.time_ns())
+
+
+def _due(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
+    """Count the sets that should have rows: a set may be under way until the next one is due."""
+    told = max((row.set_index + 1 for row in sets), default=0)
+    over = sum(following.due_utc_ns <= now_ns for following in planned[1:])
+    return max(told, over)
+
+
+def _provenance(folder: Path) -> Mapping[str, Any]:
+    reader = FolderSetReader(folder)
+    for reference in list(reader.sets().values())[::-1]:
+        try:
+            return reader.read_set(reference, skip_damaged=True).provenance
+        except ArchiveError as error:
+            log.warning("%s", error)
+    return {}
+
+
+def _file_bytes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
+    """Sizes of the files that are there; a set of the journal has none yet."""
+    found = {}
+    for row in sets:
+        if row.file is not None and row.set_index not in found:
+            try:
+                found[row.set_index] = (folder / row.file).stat().st_size
+            except OSError as error:
+                log.debug("%s has no size: %s", row.file, error)
+    return found

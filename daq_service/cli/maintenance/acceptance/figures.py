@@ -1,0 +1,56 @@
+"""A picture of each series, in the look of the reproduction's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from matplotlib.figure import Figure
+
+from daq_service.cli.maintenance.acceptance.page import SCALES
+from daq_service.cli.maintenance.acceptance.quantity import Series
+from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, VERMILLION, house_style, rendered
+
+SIZE_IN = (4.7, 1.9)
+"""Two of them side by side fill a sheet of paper."""
+FEW = 120
+"""Readings that are seen as dots."""
+DASHED = ("forecast", "planned")
+
+
+def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
+    """PNG of a series that has values; ``gaps`` are shaded from hour to hour."""
+    scale, unit = _scale(series)
+    with house_style():
+        figure = Figure(figsize=SIZE_IN, layout="constrained")
+        axes = figure.subplots()
+        for from_h, until_h in gaps:
+            axes.axvspan(from_h, until_h, color=VERMILLION, alpha=0.15, linewidth=0.0)
+        others = (series.others or {}).items()
+        for (name, (hours, values)), colour in zip(others, (GREY, ORANGE), strict=False):
+            scaled = [value / scale for value in values]
+            style = "--" if name in DASHED else "-"
+            axes.plot(hours, scaled, color=colour, linestyle=style, linewidth=1.0, label=name)
+        axes.plot(
+            series.hours,
+            [value / scale for value in series.values],
+            color=BLUE,
+            drawstyle="steps-post" if series.steps else "default",
+            marker="o" if len(series.hours) <= FEW else None,
+            label=series.label,
+        )
+        if others:
+            axes.legend(loc="best", ncols=3)
+        axes.set_xlabel("hour of the test")
+        axes.set_ylabel("number" if unit == "1" else unit)
+        axes.margins(x=0.01)
+        axes.ticklabel_format(axis="y", style="plain", useOffset=False)
+        if series.unit == "1":
+            axes.set_ylim(bottom=0.0)
+        return rendered(figure, ["png"])["png"]
+
+
+def _scale(series: Series) -> tuple[float, str]:
+    if series.unit != "B":
+        return 1.0, series.unit
+    most = max(abs(value) for value in series.values)
+    return next(((scale, name) for scale, name in SCALES if most >= scale), (1.0, "B"))

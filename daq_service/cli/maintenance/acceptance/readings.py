@@ -1,0 +1,62 @@
+"""What the recorder kept with each set: machine readings, and the times of its sets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from daq_service.cli.maintenance.acceptance.evidence import Evidence
+from daq_service.recording.computer_load import MACHINE_READ
+from hardware_drivers.nanoseconds import NS_PER_S
+
+NOT_KEPT = "not kept by the solimon that recorded this test; recorders keep it since 0.1.0"
+NO_TIME = "simulated time waits for nobody"
+NOT_AVAILABLE = "unknown: this system does not tell it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """A machine reading at its set."""
+
+    set_index: int
+    hour: float
+    told: Mapping[str, Any]
+
+    @property
+    def recorder(self) -> tuple[int, int]:
+        """Tell one recorder from another."""
+        return self.told["process"], self.told["recorder_wall_utc_ns"]
+
+
+def readings(evidence: Evidence) -> list[Reading]:
+    """Machine readings in the order of their sets."""
+    found = [
+        Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), told=row.payload)
+        for row in evidence.machine
+        if row.kind == MACHINE_READ and row.set_index is not None
+    ]
+    return sorted(found, key=lambda reading: reading.set_index)
+
+
+def kept(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
+    """List the readings that have a value."""
+    return [(reading, reading.told[name]) for reading in readings(evidence) if reading.told[name] is not None]
+
+
+def cost_s(reading: Reading) -> float:
+    """Wall time that extracting, storing, judging and committing took."""
+    return float(sum(s for stage, s in reading.told["stage_s"].items() if stage != "strike_and_read_s"))
+
+
+def times_of_sets(evidence: Evidence) -> list[tuple[float, float, float]]:
+    """Hour due, start after it in s, and duration in s of each set with a record."""
+    found = {}
+    for row in evidence.sets:
+        if row.started_utc_ns is not None and row.ended_utc_ns is not None:
+            found[row.set_index] = (
+                row.due_h,
+                (row.started_utc_ns - row.due_utc_ns) / NS_PER_S,
+                (row.ended_utc_ns - row.started_utc_ns) / NS_PER_S,
+            )
+    return [found[index] for index in sorted(found)]

@@ -1,0 +1,83 @@
+"""Every number that was kept over the hours of the test, for a picture each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import accumulate
+
+from daq_service.cli.maintenance.acceptance.evidence import Evidence
+from daq_service.cli.maintenance.acceptance.quantity import Series
+from daq_service.cli.maintenance.acceptance.readings import (
+    NO_TIME,
+    NOT_AVAILABLE,
+    NOT_KEPT,
+    cost_s,
+    kept,
+    readings,
+    times_of_sets,
+)
+from daq_service.cli.maintenance.acceptance.sets import record_series
+
+
+def series_of(evidence: Evidence) -> Iterator[Series]:
+    """Give one for each thing that was kept."""
+    yield record_series(evidence)
+    times, real = times_of_sets(evidence), evidence.experiment.clock == "wall"
+    hours = [hour for hour, _, _ in times]
+    late = [late for _, late, _ in times] if real else []
+    yield Series(
+        "start_delay_s",
+        "Start of each set after it was due",
+        "s",
+        "started_utc_ns - due_utc_ns",
+        hours if real else (),
+        late,
+        "no set has begun" if real else NO_TIME,
+    )
+    title, how = "Duration of each set", "ended_utc_ns - started_utc_ns, in the test's time"
+    took = [took for _, _, took in times]
+    yield Series("set_duration_s", title, "s", how, hours, took, "no set has ended")
+    told = readings(evidence)
+    hours = [reading.hour for reading in told]
+    stages = [reading.told["stage_s"] for reading in told]
+    fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
+    yield Series(
+        "line_cost_s",
+        "Wall time of the line a set",
+        "s",
+        "extracting, storing, judging and committing; of it fsync beside",
+        hours,
+        [cost_s(reading) for reading in told],
+        NOT_KEPT,
+        {"fsync": (hours, fsync_s)},
+    )
+    missing = NOT_AVAILABLE if told else NOT_KEPT
+    for name, title, unit in (
+        ("resident_bytes", "Memory of the recorder", "B"),
+        ("open_handles", "Open handles of the recorder", "1"),
+        ("free_bytes", "Free on the volume", "B"),
+    ):
+        yield Series(name, title, unit, f"{name} at the end of each set", *_kept(evidence, name), missing)
+    due_h = {due.set_index: due.due_h for due in evidence.planned}
+    files = [(due_h[index], size) for index, size in sorted(evidence.file_bytes.items()) if index in due_h]
+    hours = [hour for hour, _ in files]
+    forecast = [(number + 1) * evidence.forecast_bytes for number in range(len(files))]
+    yield Series(
+        "files_bytes",
+        "Files of the sets, together",
+        "B",
+        "running sum of their sizes; beside it the forecast of check-config for whole sets",
+        hours,
+        list(accumulate(size for _, size in files)),
+        "no set has a file yet",
+        {"forecast": (hours, forecast)},
+        steps=True,
+    )
+    title, how = "Computer's UTC less the test's time", "clock_ahead_s at the end of each set"
+    ahead = _kept(evidence, "clock_ahead_s")
+    yield Series("clock_ahead_s", title, "s", how, *ahead, NOT_KEPT if real else NO_TIME)
+
+
+def _kept(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
+    found = kept(evidence, name)
+    return [reading.hour for reading, _ in found], [value for _, value in found]

@@ -1,0 +1,285 @@
+"""``backup``: a copy that opens like the folder itself, taken while the test goes on.
+
+A set moves from the journal to a file of its own, and gets rows before it does. So the catalogue is copied
+first, as it is at one moment, then the journal, then the files: a set that rows point at is in the copy of
+the journal, or it left it before that was copied and then its file was there. The copied catalogue gets its
+name last: until then the destination holds the backup from before, with more files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from daq_service.archive.errors import BACK
+from daq_service.archive.journal.frames import frames
+from daq_service.archive.journal.reader import contents, read_journal, segment_path, segments
+from daq_service.archive.records import (
+    JOURNAL_FOLDER,
+    QUARANTINE_FOLDER,
+    SETS_FOLDER,
+    TEMPORARY_SUFFIX,
+    referenced_sets,
+)
+from daq_service.archive.verification import check_file
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.experiment_file import HISTORY_FILE
+from daq_service.catalogue.verification import CatalogueLook
+from daq_service.cli.maintenance.verify import NOWHERE, Finding, expected_sha256
+from daq_service.errors import StorageError, StorageUnavailableError
+from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
+from daq_service.processes.disk_policy import RESERVE_FILE
+from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
+from daq_service.processes.heartbeat import WEB_FILE
+from daq_service.shared_file import (
+    O_BINARY,
+    patiently,
+    read_shared,
+    remove_quietly,
+    sync_folder,
+    write_durably,
+)
+
+LEFT_OUT = {
+    FILE_NAME,
+    SETS_FOLDER,
+    JOURNAL_FOLDER,
+    BACKUP_FILE,
+    HISTORY_FILE,
+    RESERVE_FILE,
+    "live",
+    "tiles",
+    HEARTBEAT_FILE,
+    LOCK_FILE,
+    DRIVE_LOCK,
+    "audit.lock",
+    "notifications.jsonl",
+    "notifications.lock",
+    "notifier.lock",
+    "tokens.json",
+    "tokens.lock",
+    WEB_FILE,
+}
+"""Copied in their own way, or signs of a running test, which a copy is not; who may enter, and who is told of
+alarms from when on, is for each copy to say."""
+NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
+"""Columns of the experiment that tell one test from another."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Copied:
+    """What a backup came to.
+
+    Attributes
+    ----------
+    files, n_bytes
+        Copied now.
+    present
+        Files of sets that were there already.
+    damage
+        Files that are damaged in the folder itself: they lie in the backup's quarantine. Sets that are lost.
+    """
+
+    files: int = 0
+    n_bytes: int = 0
+    present: int = 0
+    damage: list[Finding] = field(default_factory=list)
+
+
+def back_up(
+    folder: Path, destination: Path, progress: Callable[[int, int], None] = lambda done, planned: None
+) -> Copied:
+    """Copy what is new; every copy is read back and compared.
+
+    Raises
+    ------
+    StorageError
+        The destination is within the folder, or is no backup of this test; the catalogue is damaged.
+    StorageUnavailableError
+        The destination takes no more; what is copied stays, and the next backup goes on from there.
+    """
+    source, target = folder.resolve(), destination.resolve()
+    if source == target or source in target.parents or target in source.parents:
+        raise StorageError(f"{destination} and {folder} lie within each other; choose another destination")
+    with CatalogueLook(folder) as catalogue:
+        copied, snapshot = Copied(), destination / f"{FILE_NAME}{TEMPORARY_SUFFIX}"
+        try:
+            _claim(destination, catalogue.experiment())
+            history = _read_history(folder)
+            catalogue.copy_to(snapshot)
+            _sync(snapshot)
+            kept = {path.name for path in _copy_journal(folder, destination, copied)}
+            _copy_sets(folder, destination, catalogue, copied, progress)
+            copied.damage += _lost(folder, destination, catalogue, copied)
+            _copy_others(folder, destination, copied)
+            for suffix in ("-wal", "-shm"):  # of somebody who wrote to the copy
+                remove_quietly(destination / f"{FILE_NAME}{suffix}")
+            patiently(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
+            sync_folder(destination)
+            _write(destination / HISTORY_FILE, history, copied)
+            if not copied.damage:  # else an older segment may have what the file has lost
+                for path in segments(destination).values():
+                    if path.name not in kept:
+                        remove_quietly(path)
+        except OSError as error:
+            remove_quietly(snapshot)
+            raise StorageUnavailableError(
+                f"the backup is not whole: {error}; what is copied stays, and the one before it still opens: "
+                "free or mend the disk"
+            ) from error
+    return copied
+
+
+def _claim(destination: Path, experiment: dict[str, Any] | None) -> None:
+    """Give a new destination to this test, and refuse another one's."""
+    if experiment is None:
+        raise StorageError("the test has not begun; there is nothing to copy")
+    own = {name: experiment[name] for name in NAMED_BY}
+    destination.mkdir(parents=True, exist_ok=True)
+    mark = destination / BACKUP_FILE
+    if not mark.exists():
+        found_names = {path.name for path in destination.iterdir()} - {f"{mark.name}{TEMPORARY_SUFFIX}"}
+        if names := sorted(found_names):
+            raise StorageError(
+                f"{destination} is not empty and no backup (it holds {names[0]!r}); choose a new folder"
+            )
+        content = json.dumps(own, indent=1).encode()
+        write_durably(mark, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
+    found = _object(mark)
+    if found != own:
+        raise StorageError(
+            f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "
+            f"{found.get('configuration_hash')}); choose another folder"
+        )
+    if (destination / LOCK_FILE).exists():
+        raise StorageError(
+            f"a recorder went on in {destination}, which is no copy since; choose another folder"
+        )
+    for name in (SETS_FOLDER, JOURNAL_FOLDER):
+        (destination / name).mkdir(exist_ok=True)
+        for path in (destination / name).glob(f"*{TEMPORARY_SUFFIX}"):
+            remove_quietly(path)
+
+
+def _read_history(folder: Path) -> bytes:
+    """Read before the catalogue is copied, and written behind it: the history must not know more."""
+    try:
+        return read_shared(folder / HISTORY_FILE)
+    except FileNotFoundError:
+        return b""
+
+
+def _object(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(read_shared(path))
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
+    for number, content in contents(folder):
+        ends = [frame.end for frame in frames(content)]
+        # Without the room for what is to come.
+        used = content[: max([len(content.rstrip(b"\0")), *ends])]
+        path = segment_path(destination, number)
+        _write(path, used, copied)
+        yield path
+
+
+def _copy_sets(
+    folder: Path,
+    destination: Path,
+    catalogue: CatalogueLook,
+    copied: Copied,
+    progress: Callable[[int, int], None],
+) -> None:
+    files = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
+    for number, (index, file) in enumerate(files.items()):
+        progress(number, len(files))
+        source, target = folder / file, destination / file
+        if target.exists() and target.stat().st_size == source.stat().st_size:
+            copied.present += 1
+            continue
+        found = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", index), file))
+        if found.touched or found.damages:
+            told = f"{found.damages[0] if found.damages else 'its SHA-256 differs'}; {BACK}"
+            copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=told))
+            target = destination / QUARANTINE_FOLDER / target.name
+            target.parent.mkdir(exist_ok=True)
+        if found.n_bytes:  # else nothing of it can be read
+            _write(target, read_shared(source), copied)
+    progress(len(files), len(files))
+
+
+def _lost(folder: Path, destination: Path, catalogue: CatalogueLook, copied: Copied) -> list[Finding]:
+    """Name the sets that rows point at and that are neither a file nor in the journal.
+
+    Files first, in one listing: only for those that are not among them the journal is read.
+    """
+    named = {finding.file for finding in copied.damage}
+    files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
+    gone = {file: index for index, file in catalogue.files().items() if file not in files}
+    journal = read_journal(destination) if gone else {}
+    kept = {item.reference for item in journal.values()}
+    return [
+        Finding(kind="set_missing", file=file, shot_id=None, told=f"{NOWHERE}; {BACK}")
+        for file in gone
+        # A set may have left the journal for a file between the two looks.
+        if file not in kept and not (folder / file).exists()
+    ]
+
+
+def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
+    """Whatever else the folder keeps: the configuration, what the drive counted, logs, the quarantine."""
+    for name in sorted(OWN_NAMES - LEFT_OUT):
+        place = folder / name
+        paths = sorted(place.rglob("*")) if place.is_dir() else [place]
+        for path in paths:
+            if path.is_file() and path.suffix != TEMPORARY_SUFFIX:
+                target = destination / path.relative_to(folder)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with suppress(FileNotFoundError):  # a log that was rotated meanwhile
+                    _write(target, read_shared(path), copied)
+
+
+def _write(target: Path, content: bytes, copied: Copied) -> None:
+    """Write a copy, unless it is there, and read it back.
+
+    Raises
+    ------
+    OSError
+        It is not on the disk as it was written.
+    """
+    if target.exists() and target.stat().st_size == len(content) and read_shared(target) == content:
+        return
+    write_durably(target, content, temporary=target.with_name(f"{target.name}{TEMPORARY_SUFFIX}"))
+    _forget(target)
+    if read_shared(target) != content:
+        remove_quietly(target)
+        raise OSError(f"{target} does not read as it was written")
+    copied.files += 1
+    copied.n_bytes += len(content)
+
+
+def _forget(path: Path) -> None:
+    """Have the next reading come from the disk, where the system can be told so."""
+    if hasattr(os, "posix_fadvise"):
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+        finally:
+            os.close(descriptor)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDWR | O_BINARY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,193 @@
+"""Carry out ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daq_service.cli.maintenance.backup import back_up
+from daq_service.cli.maintenance.export import export_hdf5
+from daq_service.cli.maintenance.repair import carry_out, planned
+from daq_service.cli.maintenance.verify import Finding, verify_folder
+from daq_service.errors import EXIT_OK, StorageError, UsageError
+from daq_service.processes.data_folder import is_owned, own_data_folder
+
+if TYPE_CHECKING:
+    from daq_service.cli.maintenance.export_table import ExportedTable
+
+PROGRESS_EVERY_S = 10.0
+"""Where nobody sees a line that is rewritten."""
+LOWEST_PRIORITY = 19
+
+
+def run_verify(*, data_dir: Path, as_json: bool) -> int:
+    """Check a folder; 4 where something is damaged."""
+    _give_way(data_dir)
+    report = verify_folder(data_dir, _progress("files"))
+    if as_json:
+        damage = [asdict(finding) for finding in report.damage]
+        click.echo(json.dumps({"ok": not damage, "checked": report.checked, "damage": damage}))
+    else:
+        _tell(report.damage)
+        for note in report.notes:
+            click.echo(f"note      {note}")
+        counts = {name: number for name, number in report.checked.items() if name != "bytes"}
+        click.echo(f"checked   {_listed(counts)}, {report.checked['bytes'] / 1e6:.1f} MB")
+        click.echo("damage    none" if not report.damage else f"damage    {len(report.damage)}, named above")
+    return StorageError.exit_code if report.damage else EXIT_OK
+
+
+def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
+    """Mend a folder, or say what would be done; 4 while something stays damaged."""
+    with own_data_folder(data_dir) if apply else nullcontext():
+        report = verify_folder(data_dir, _progress("files"))
+        steps = planned(data_dir, report, backup)
+        if apply:
+            for step in steps:
+                try:
+                    carry_out(data_dir, step, backup)
+                except OSError as error:
+                    raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
+            report = verify_folder(data_dir, _progress("files"))
+    if as_json:
+        told = {"applied": apply, "steps": [asdict(step) for step in steps]}
+        click.echo(
+            json.dumps({"ok": not report.damage, **told, "damage": [asdict(item) for item in report.damage]})
+        )
+    else:
+        for step in steps:
+            click.echo(f"{step.does:<13} {step.file}: {step.why}")
+        if any(step.does != "nothing" for step in steps) and not apply:
+            click.echo("nothing is done yet: --apply does it")
+        click.echo(f"damage left   {len(report.damage)}")
+    return StorageError.exit_code if report.damage else EXIT_OK
+
+
+def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
+    """Copy a folder; 4 where a file in it is damaged, or a set is lost."""
+    _give_way(data_dir)
+    copied = back_up(data_dir, destination, _progress("files"))
+    if as_json:
+        facts = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
+        click.echo(json.dumps(facts))
+    else:
+        _tell(copied.damage)
+        click.echo(
+            f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
+            f"{copied.present} sets were there already"
+        )
+    return StorageError.exit_code if copied.damage else EXIT_OK
+
+
+def run_export(
+    *,
+    data_dir: Path,
+    hdf5: Path | None,
+    table: str | None,
+    waveforms: str | None,
+    targets: Sequence[Path],
+    overwrite: bool,
+    as_json: bool,
+    **asked: Any,
+) -> int:
+    """Write one file of a test, a table or records; 4 where a set's file cannot be read."""
+    if [hdf5, table, waveforms].count(None) != 2:
+        raise UsageError(
+            "say --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
+        )
+    given = {name: value for name, value in asked.items() if value is not None}
+    known = _OF_HDF5 if hdf5 is not None else _OF_TABLE if table is not None else _OF_WAVEFORMS
+    if foreign := [name for name in given if name not in known] or (["out"] if hdf5 and targets else []):
+        told = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
+        raise UsageError(f"{told} does not belong to --{_word(hdf5, table)}; leave it out")
+    if hdf5 is None and not targets:
+        raise UsageError(f"--{_word(hdf5, table)} wants --out FILE")
+    if table is not None:
+        from daq_service.cli.maintenance.export_table import export_table
+        from daq_service.web.tables.choice import chosen
+
+        choice = chosen(table, **given)
+        return _print_files(export_table(data_dir, choice, targets, overwrite=overwrite), as_json=as_json)
+    if waveforms is not None:
+        from daq_service.cli.maintenance.export_table import export_records
+        from daq_service.web.tables.records import RecordChoice
+
+        records = RecordChoice(position=waveforms, **given)
+        return _print_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
+    assert hdf5 is not None, "one of the two is given"
+    made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
+    if as_json:
+        click.echo(json.dumps({"ok": not made.left_out, **asdict(made)}))
+    else:
+        for told in made.left_out.values():
+            click.echo(f"left out  {told}")
+        if made.waiting:
+            click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
+        click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
+    return StorageError.exit_code if made.left_out else EXIT_OK
+
+
+_OF_HDF5: Collection[str] = ()
+_OF_TABLE = ("position", "from_h", "to_h", "fields", "purpose")
+_OF_WAVEFORMS = ("from_h", "to_h", "first_set", "last_set")
+
+
+def _word(hdf5: Path | None, table: str | None) -> str:
+    return "hdf5" if hdf5 is not None else "table" if table is not None else "waveforms"
+
+
+def _print_files(made: Sequence[ExportedTable], *, as_json: bool) -> int:
+    if as_json:
+        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in made]}))
+    else:
+        for item in made:
+            click.echo(f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)")
+    return EXIT_OK
+
+
+def run_certify(*, data_dir: Path, **options: Any) -> int:
+    """Make a certificate; 6 where it does not pass."""
+    from daq_service.cli.maintenance.acceptance.command import certify
+
+    _give_way(data_dir)
+    return certify(data_dir=data_dir, progress=_progress("files"), **options)
+
+
+def _tell(damage: list[Finding]) -> None:
+    for finding in damage:
+        click.echo(f"{finding.kind:<18} {finding.file}: {finding.told}")
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
+
+
+def _give_way(folder: Path) -> None:
+    """Let a recorder that runs have processor and disk first."""
+    if is_owned(folder) and hasattr(os, "nice"):
+        os.nice(LOWEST_PRIORITY)
+
+
+def _progress(what: str) -> Callable[[int, int], None]:
+    """Tell on standard error how far it is: a line that is rewritten, or now and then a new one."""
+    terminal, told_s = sys.stderr.isatty(), time.monotonic()
+
+    def tell(done: int, planned: int) -> None:
+        nonlocal told_s
+        text, now_s = f"{done} of {planned} {what}", time.monotonic()
+        if terminal:
+            click.echo(f"\r{text} ", nl=done == planned, err=True)
+        elif now_s - told_s >= PROGRESS_EVERY_S:
+            told_s = now_s
+            click.echo(text, err=True)
+
+    return tell

@@ -1,0 +1,267 @@
+"""``export --hdf5``: one file of a whole test; records stay in the sets' files, rows are copied."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from types import NoneType
+from typing import Any, TypeVar, get_args
+
+import numpy as np
+
+from daq_service.archive import ArchiveError, FolderSetReader, SetNotFoundError, SetReference
+from daq_service.archive.consolidated import (
+    Block,
+    Column,
+    Columns,
+    Facts,
+    Sampling,
+    blocks_of,
+    consolidated_image,
+    group_names_of,
+)
+from daq_service.archive.records import TEMPORARY_SUFFIX
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.rows import (
+    AssessmentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    columns_of,
+)
+from daq_service.clock import format_utc
+from daq_service.errors import StorageError, StorageUnavailableError, UsageError
+from daq_service.processes.data_folder import OWN_NAMES
+from daq_service.processes.lost_catalogue import lost_reason
+from daq_service.shared_file import write_durably
+from hardware_drivers.methods import PULSE_ECHO
+
+R = TypeVar("R", bound=Row)
+
+_SETS_AT_ONCE = 500
+"""Rows of so many sets are held as objects."""
+_OF_A_SHOT = ("set_index", "shot_index", "attempt", "utc_ns", "valid", "flags", "outcome")
+_OF_A_SET = (
+    *("due_h", "due_utc_ns", "state", "cause"),
+    *("n_planned", "n_taken", "n_valid", "n_missed", "n_restrikes"),
+)
+_NO_RESULT = ("id", "set_index", "position", "shot_index", "sequence", "due_h", "n_valid", "baseline_id")
+"""Columns that results share with what they belong to."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """What a consolidated file came to.
+
+    Attributes
+    ----------
+    sets, shots
+        In it.
+    arrays
+        Records and samples of each group.
+    waiting
+        Sets that have no file yet: their recorder is about to make it.
+    left_out
+        Files that cannot be read, and why.
+    """
+
+    file: str
+    n_bytes: int
+    sets: int
+    shots: int
+    arrays: Mapping[str, tuple[int, int]]
+    waiting: int
+    left_out: Mapping[str, str]
+
+
+def export_hdf5(
+    folder: Path,
+    target: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] = lambda done, planned: None,
+) -> Exported:
+    """Write one HDF5 file of a test, also of one that runs.
+
+    Raises
+    ------
+    UsageError
+        There is no test in the folder; the file exists, or would lie among what is the test's own.
+    StorageError
+        No set has a file yet, or the catalogue cannot be read.
+    StorageUnavailableError
+        The disk does not take the file; one that was there stays.
+    """
+    refuse_target(folder, target, overwrite=overwrite)
+    with open_catalogue(folder) as catalogue:
+        experiment = catalogue.experiment_row()
+        positions = sorted(experiment.configuration["positions"])
+        rows = {name: catalogue.rows(SetRow, position=name) for name in positions}
+        files = {
+            row.set_index: SetReference(row.file) for found in rows.values() for row in found if row.file
+        }
+        blocks, waiting, left_out = _blocks(folder, files, progress)
+        if not blocks:
+            raise StorageError(
+                f"{folder}: no set has a file that can be read; wait for one, or solimon verify"
+            )
+        shots = {
+            sampling: (found, _shot_columns(catalogue, sampling, found, rows.get(sampling.position, [])))
+            for sampling, found in blocks.items()
+        }
+        facts = Facts(
+            title=experiment.name,
+            start_time=format_utc(experiment.epoch_utc_ns),
+            maker_version=version("solimon"),
+            version=experiment.solimon_version,
+            configuration_hash=experiment.configuration_hash,
+            provenance={"configuration": experiment.configuration, "epoch_utc_ns": experiment.epoch_utc_ns},
+        )
+        sets = {name: _set_columns(catalogue, name, found) for name, found in rows.items() if found}
+    image = consolidated_image(target, folder, facts, shots, sets)
+    try:
+        write_durably(target, image, temporary=target.with_name(f"{target.name}{TEMPORARY_SUFFIX}"))
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{target} cannot be written: {error}; free or mend the disk"
+        ) from error
+    return Exported(
+        file=str(target),
+        n_bytes=len(image),
+        sets=len(files) - waiting - len(left_out),
+        shots=sum(len(block.shot_ids) for found in blocks.values() for block in found),
+        arrays={
+            name: (sum(len(block.shot_ids) for block in blocks[sampling]), sampling.n_samples)
+            for sampling, name in group_names_of(blocks).items()
+        },
+        waiting=waiting,
+        left_out=left_out,
+    )
+
+
+def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
+    """Refuse before anything is read what must not be written.
+
+    Raises
+    ------
+    UsageError
+        There is no test in the folder; the file exists, or would lie among what is the test's own.
+    StorageError
+        The test's catalogue is lost.
+    """
+    if not (folder / FILE_NAME).is_file():
+        if told := lost_reason(folder):
+            raise StorageError(told)
+        raise UsageError(
+            f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"
+        )
+    if not target.parent.is_dir():
+        raise UsageError(f"the folder {target.parent} is not there; make it, or choose another file")
+    where, own = target.absolute().parent.resolve() / target.name, folder.resolve()
+    if where.is_relative_to(own) and where.relative_to(own).parts[0] in OWN_NAMES:
+        raise UsageError(f"{target} lies among the test's own files; choose a place beside them")
+    if target.exists() and not (overwrite and target.is_file()):
+        raise UsageError(f"{target} exists; choose another file, or replace it with --overwrite")
+
+
+def _blocks(
+    folder: Path, files: Mapping[int, SetReference], progress: Callable[[int, int], None]
+) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
+    """Arrays of all files by what they share, how many sets have no file yet, and what cannot be read."""
+    found, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
+    journaled = FolderSetReader(folder).sets()
+    for number, (index, file) in enumerate(sorted(files.items())):
+        progress(number, len(files))
+        try:
+            for sampling, block in blocks_of(folder, file):
+                found.setdefault(sampling, []).append(block)
+        except SetNotFoundError as error:
+            if index in journaled:
+                waiting += 1
+            else:
+                left_out[file] = str(error)
+        except ArchiveError as error:
+            left_out[file] = str(error)
+    progress(len(files), len(files))
+    return found, waiting, left_out
+
+
+def _shot_columns(
+    catalogue: Catalogue, sampling: Sampling, blocks: Sequence[Block], sets: Sequence[SetRow]
+) -> Columns:
+    """Rows of the shots of blocks, and of their results, in the order of the shots."""
+    due_h = {row.set_index: row.due_h for row in sets}
+    kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
+    parts = []
+    for start in range(0, len(blocks), _SETS_AT_ONCE):
+        some = blocks[start : start + _SETS_AT_ONCE]
+        asked: dict[str, Any] = {"position": sampling.position}
+        asked |= {"first_set": some[0].set_index, "last_set": some[-1].set_index}
+        shots = {row.sequence: row for row in catalogue.rows(ShotRow, **asked)}
+        results = {row.sequence: row for row in catalogue.rows(kind, **asked)}
+        of_set = [(shot_id, block.set_index) for block in some for shot_id in block.shot_ids]
+        ids = [shot_id for shot_id, _ in of_set]
+        parts.append(
+            {
+                **_columns([shots.get(one) for one in ids], ShotRow, _OF_A_SHOT),
+                "due_h": np.array([due_h.get(index, math.nan) for _, index in of_set]),
+                **_columns([results.get(one) for one in ids], kind, _results_of(kind)),
+            }
+        )
+    return {name: _joined([part[name] for part in parts]) for name in parts[0]}
+
+
+def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
+    """Rows of a position's sets, and of their results, in the order of the sets."""
+    kinds: tuple[type[Row], ...] = (FeatureRow, AssessmentRow)
+    if sets[0].method == PULSE_ECHO:
+        kinds = (ThicknessRow,)
+    columns: dict[str, Column] = {"set_index": np.array([row.set_index for row in sets])}
+    columns |= _columns(sets, SetRow, _OF_A_SET)
+    for kind in kinds:
+        parts = []
+        for start in range(0, len(sets), _SETS_AT_ONCE):
+            some = sets[start : start + _SETS_AT_ONCE]
+            asked: dict[str, Any] = {"position": position, "scope": "set" if kind is FeatureRow else None}
+            asked |= {"first_set": some[0].set_index, "last_set": some[-1].set_index}
+            found: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **asked)}  # type: ignore[attr-defined] # each of these kinds has one
+            parts.append(_columns([found.get(row.set_index) for row in some], kind, _results_of(kind)))
+        columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
+    return columns
+
+
+def _results_of(kind: type[Row]) -> tuple[str, ...]:
+    nested = ("contributions", "statistics", "limits", "averages")
+    return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
+
+
+def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
+    """Values by column; where there is none: NaN, -1, or an empty text."""
+    types = {column.name: column.type for column in columns_of(kind)}
+    return {
+        name: _column([None if row is None else getattr(row, name) for row in rows], types[name])
+        for name in names
+    }
+
+
+def _column(values: list[Any], of_type: Any) -> Column:
+    nullable = NoneType in get_args(of_type)
+    plain = next(kind for kind in get_args(of_type) if kind is not NoneType) if nullable else of_type
+    if plain is float:
+        return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
+    if plain in (int, bool):
+        numbers = [-1 if value is None else value for value in values]
+        return np.array(numbers, dtype=np.int64 if plain is int else np.int8)
+    return [" ".join(value) if isinstance(value, list) else value or "" for value in values]
+
+
+def _joined(parts: Sequence[Column]) -> Column:
+    if isinstance(parts[0], list):
+        return [value for part in parts for value in part]
+    return np.concatenate(parts)

@@ -1,0 +1,110 @@
+"""Write a table of a test, or records of a position, to files in the formats of their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq_service.archive import FolderSetReader
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.cli.maintenance.export import refuse_target
+from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.processes.freshness import Freshness
+from daq_service.shared_file import write_durably
+from daq_service.web.tables.choice import Choice
+from daq_service.web.tables.export import exported
+from daq_service.web.tables.formats import FORMATS
+from daq_service.web.tables.record_formats import NAME as RECORDS
+from daq_service.web.tables.record_formats import exported_records
+from daq_service.web.tables.records import RecordChoice, RecordSlice, read_slice
+
+Parts = Iterator[bytes]
+Make = Callable[[Catalogue, Freshness, str], Parts]
+"""Gives the bytes of a file in a format."""
+MOST_RECORD_BYTES = 1_000_000_000
+"""Of records in volts: they are in memory while a file is made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportedTable:
+    """A file of a table; that of records is called ``waveforms``."""
+
+    file: str
+    table: str
+    n_bytes: int
+
+
+def export_table(
+    folder: Path, choice: Choice, targets: Sequence[Path], *, overwrite: bool = False
+) -> list[ExportedTable]:
+    """Write what was chosen to each of the files, also of a test that runs.
+
+    Raises
+    ------
+    UsageError
+        A name has none of the endings, a file exists, or there is no test or no such position.
+    StorageError
+        The catalogue cannot be read, or the disk does not take a file; one that was there stays.
+    """
+    return _write(
+        folder,
+        *(choice.position, choice.table, targets),
+        lambda catalogue, fresh, form: exported(catalogue, fresh, choice, form),
+        overwrite=overwrite,
+    )
+
+
+def export_records(
+    folder: Path, choice: RecordChoice, targets: Sequence[Path], *, overwrite: bool = False
+) -> list[ExportedTable]:
+    """Write the chosen records in volts to each of the files, also of a test that runs.
+
+    Raises
+    ------
+    UsageError
+        As `export_table`; or there are no such records, or more than `MOST_RECORD_BYTES`.
+    StorageError
+        As `export_table`.
+    """
+    read: list[RecordSlice] = []
+
+    def made(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
+        if not read:
+            archive = FolderSetReader(folder)
+            read.append(read_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
+        return iter([exported_records(catalogue, fresh, choice, read[0], form)])
+
+    return _write(folder, choice.position, RECORDS, targets, made, overwrite=overwrite)
+
+
+def _write(
+    folder: Path, position: str | None, table: str, targets: Sequence[Path], make: Make, *, overwrite: bool
+) -> list[ExportedTable]:
+    forms = [_form(target) for target in targets]
+    for target in targets:
+        refuse_target(folder, target, overwrite=overwrite)
+    made = []
+    with open_catalogue(folder) as catalogue:
+        experiment = catalogue.experiment_row()
+        positions = experiment.configuration["positions"]
+        if position is not None and position not in positions:
+            raise UsageError(f"there is no position {position!r}; choose from {', '.join(positions)}")
+        fresh = Freshness(folder, catalogue, experiment.clock)
+        for target, form in zip(targets, forms, strict=True):
+            parts = make(catalogue, fresh, form)
+            try:
+                write_durably(target, parts, temporary=target.with_name(f"{target.name}.part"))
+            except OSError as error:
+                raise StorageUnavailableError(
+                    f"{target} cannot be written: {error}; free or mend the disk"
+                ) from error
+            made.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
+    return made
+
+
+def _form(target: Path) -> str:
+    form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
+    if form not in FORMATS:
+        raise UsageError(f"{target} has no known ending; choose from {', '.join(FORMATS)}")
+    return form

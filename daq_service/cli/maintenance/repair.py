@@ -1,0 +1,148 @@
+"""``repair``: what can be mended without a guess; nothing is deleted but what was never finished."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq_service.archive import Results, SetReference
+from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.journal.checking import check_journal
+from daq_service.archive.journal.reader import JournaledSet
+from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, referenced_sets
+from daq_service.archive.verification import check_file
+from daq_service.archive.writer import move_aside
+from daq_service.assessment.results_in_file import results_in
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import CatalogueError
+from daq_service.catalogue.verification import CatalogueLook
+from daq_service.cli.maintenance.rows import RowsOfSet, differing
+from daq_service.cli.maintenance.verify import TABLES, Report, expected_sha256
+from daq_service.shared_file import read_shared, remove_quietly, write_durably
+
+log = logging.getLogger(__name__)
+
+OF_A_FILE = ("set_missing", "set_unreadable", "set_touched", "shot", "metadata")
+"""Kinds of damage that another copy of a set's file heals."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """What is done about one file.
+
+    Attributes
+    ----------
+    does
+        ``remove``, ``from_journal``, ``from_backup``, ``set_aside``; ``nothing``: a person has to decide.
+    why
+        The reason, or what a person can do.
+    """
+
+    does: str
+    file: str
+    why: str
+
+
+def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
+    """Say what helps against each damage, and against what was left over.
+
+    Parameters
+    ----------
+    report
+        Of `verify_folder`, a moment before.
+    backup
+        A folder that `solimon backup` made; None: there is none.
+    """
+    journal = check_journal(folder).sets
+    damaged = {finding.file: finding for finding in reversed(report.damage)}
+    steps = [
+        _of_file(folder, SetReference(file), journal, backup)
+        if finding.kind in OF_A_FILE
+        else Step(does="nothing", file=file, why=finding.told)
+        for file, finding in damaged.items()
+    ]
+    return [*_left_over(folder), *sorted(steps, key=lambda step: step.file)]
+
+
+def _left_over(folder: Path) -> Iterator[Step]:
+    for path in sorted((folder / SETS_FOLDER).glob(f"*{TEMPORARY_SUFFIX}")):
+        yield Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", why="it was never finished")
+
+
+def _of_file(
+    folder: Path, file: SetReference, journal: Mapping[int, JournaledSet], backup: Path | None
+) -> Step:
+    ((index, _),) = referenced_sets([Path(file).name]).items()
+    journaled = journal.get(index)
+    if journaled is not None and journaled.is_whole and journaled.reference == file:
+        return Step(does="from_journal", file=file, why="the journal still has every record of the set")
+    rows = _rows(folder, index)
+    if backup is not None:
+        told = _told_against(backup, file, rows)
+        if not told:
+            return Step(
+                does="from_backup", file=file, why=f"{backup / file} is whole and agrees with the rows"
+            )
+        return Step(does="nothing", file=file, why=f"the backup does not help: {told}")
+    if rows is not None and not rows.sets:
+        return Step(does="set_aside", file=file, why="it has no rows: its set is taken again, or missed")
+    return Step(
+        does="nothing",
+        file=file,
+        why="what of it can be read stays readable; only a backup has the rest: --from BACKUP",
+    )
+
+
+def _rows(folder: Path, index: int) -> RowsOfSet | None:
+    try:
+        with CatalogueLook(folder) as catalogue:
+            return RowsOfSet(**{table: catalogue.of_set(table, index) for table in TABLES})
+    except CatalogueError:  # told as a damage of its own
+        return None
+
+
+def _results(folder: Path, index: int) -> Results:
+    """Results that the file had; none where there is no catalogue to ask."""
+    try:
+        with open_catalogue(folder) as catalogue:
+            return results_in(catalogue, index)
+    except CatalogueError as error:
+        log.warning("set %d gets a file without its results: %s", index, error)
+        return {}
+
+
+def _told_against(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
+    """Say why a backup's file is not taken; empty: it is the file that was lost."""
+    if not (backup / file).is_file():
+        return f"{backup / file} is not there"
+    if rows is None:
+        return "there are no rows to compare it with; mend the catalogue first"
+    found = check_file(backup / file, sha256=expected_sha256(rows.sets, file))
+    if found.touched or found.damages or found.record is None:
+        return f"{backup / file} is damaged, too"
+    against = list(differing(rows, found.record, file, frozenset())) if rows.sets else []
+    return f"{backup / file} differs from the rows: {against[0][1]}" if against else ""
+
+
+def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
+    """Do one step; whoever calls it owns the folder.
+
+    Raises
+    ------
+    OSError, ArchiveError
+        It could not be done, and everything is as it was or set aside.
+    """
+    path, file = folder / step.file, SetReference(step.file)
+    if step.does == "remove":
+        remove_quietly(path)
+    elif step.does != "nothing" and path.exists():
+        move_aside(folder, file)
+    if step.does == "from_journal":
+        ((index, _),) = referenced_sets([path.name]).items()
+        compact_set(folder, index, results=_results(folder, index))
+    elif step.does == "from_backup":
+        assert backup is not None, "a plan with a backup's file has a backup"
+        path.parent.mkdir(exist_ok=True)
+        write_durably(path, read_shared(backup / file), temporary=path.with_suffix(TEMPORARY_SUFFIX))

@@ -1,0 +1,49 @@
+"""Carry out ``report``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from daq_service.cli.maintenance.export import refuse_target
+from daq_service.errors import StorageUnavailableError
+from daq_service.processes.data_folder import data_folder
+from daq_service.settings.file import load_settings
+from daq_service.shared_file import write_durably
+from daq_service.web.report.make import report_page
+
+
+def write_report(
+    *,
+    where: Path,
+    from_h: float | None,
+    to_h: float | None,
+    out: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the report of a data folder, or of a configuration's.
+
+    Raises
+    ------
+    UsageError
+        There is no test, the range is empty or too long, or the file is there already.
+    StorageError
+        The catalogue cannot be read, or the file not be written.
+    """
+    folder = where if where.is_dir() else data_folder(load_settings(where), where, None)
+    target = out or Path(f"report_{folder.name}.html")
+    refuse_target(folder, target, overwrite=overwrite)
+    content = report_page(folder, from_h=from_h, to_h=to_h, audited=True)
+    try:
+        write_durably(target, content, temporary=target.with_name(f"{target.name}.part"))
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{target} cannot be written: {error}; free or mend the disk"
+        ) from error
+    if as_json:
+        click.echo(json.dumps({"ok": True, "file": str(target), "n_bytes": len(content)}))
+    else:
+        click.echo(f"{target}: open it in a browser, or print it ({len(content) / 1e6:.1f} MB)")

@@ -1,0 +1,138 @@
+"""What the rows of a set must say, by its file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from daq_service.acquisition.taken_set import n_missed, n_restrikes
+from daq_service.archive import SetRecord, SetReference
+from daq_service.assessment.results_in_file import differing as results_differ
+from daq_service.assessment.results_in_file import results_of
+from daq_service.assessment.transaction import shot_row
+from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
+from hardware_drivers.methods import PULSE_ECHO
+
+Found = Mapping[str, Any]
+"""A row as it stands in the catalogue: column to value."""
+_JUDGED = ("valid", "flags")
+"""Columns of a shot that do not follow from its record alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RowsOfSet:
+    """The catalogue's rows of one set."""
+
+    sets: Sequence[Found]
+    shots: Sequence[Found]
+    features: Sequence[Found]
+    verdicts: Sequence[Found]
+    thickness: Sequence[Found]
+
+
+def differing(
+    rows: RowsOfSet, record: SetRecord, file: SetReference, lost: frozenset[int]
+) -> Iterator[tuple[int | None, str]]:
+    """Say where rows and file differ, with the id of the shot.
+
+    Parameters
+    ----------
+    record
+        What can be read of the file.
+    lost
+        Ids of the shots in it that cannot.
+    """
+    of_position = {row["position"]: row for row in rows.sets}
+    for position in record.positions:
+        taken = [item for item in record.records if item.key.position == position.position]
+        row = of_position.pop(position.position, None)
+        where = f"sets, set {record.set_index} of {position.position}"
+        if row is None:
+            yield None, f"{where}: there is no row"
+        elif not lost:
+            state = "partial" if taken else "missed"
+            wanted = {
+                "method": position.method,
+                "due_utc_ns": record.due_utc_ns,
+                "due_h": record.due_h,
+                "started_utc_ns": record.started_utc_ns,
+                "ended_utc_ns": record.ended_utc_ns,
+                "state": state if position.cause else "done",
+                "cause": position.cause or None,
+                "n_planned": position.n_planned,
+                "n_taken": len(taken),
+                "n_missed": n_missed(record, position.position),
+                "n_restrikes": n_restrikes(record, position.position),
+                "file": file if taken else None,
+            }
+            yield from ((None, told) for told in _differences(where, row, wanted))
+        yield from ((None, f"{where}: {told}") for told in _results(rows, position.position, position.method))
+    for name, row in of_position.items():
+        if row["n_taken"] or row["file"] is not None:
+            yield None, f"sets, set {record.set_index} of {name}: the file has no such position"
+    yield from _shots(rows.shots, record, lost)
+    if record.results and not lost:
+        copy = results_of(
+            [FeatureRow(**_known(FeatureRow, row)) for row in rows.features],
+            [ThicknessRow(**_known(ThicknessRow, row)) for row in rows.thickness],
+            [ShotRow(**{**_known(ShotRow, row), "flags": _flags(row)}) for row in rows.shots],
+        )
+        yield from (
+            (None, f"set {record.set_index}, {told}") for told in results_differ(record.results, copy)
+        )
+
+
+def _known(kind: type[Row], row: Found) -> dict[str, Any]:
+    """Columns that a kind of row has today."""
+    return {name: row[name] for name in kind.__slots__ if name in row}
+
+
+def _flags(row: Found) -> list[str]:
+    try:
+        found = json.loads(row["flags"])
+    except (TypeError, ValueError):  # damaged: then it is not what the file says
+        return [str(row["flags"])]
+    return [str(flag) for flag in found] if isinstance(found, list) else [str(found)]
+
+
+def _shots(
+    found: Sequence[Found], record: SetRecord, lost: frozenset[int]
+) -> Iterator[tuple[int | None, str]]:
+    by_sequence = {row["sequence"]: row for row in found}
+    for item in record.records:
+        outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
+        wanted = values(shot_row(item, valid=True, flags=(), outcome=outcome))
+        row, where = by_sequence.pop(item.sequence, None), f"shots, sequence {item.sequence}"
+        if row is None:
+            yield item.sequence, f"{where}: there is no row"
+            continue
+        wanted = {name: value for name, value in wanted.items() if name not in _JUDGED}
+        yield from ((item.sequence, told) for told in _differences(where, row, wanted))
+    for sequence in by_sequence.keys() - lost:
+        yield sequence, f"shots, sequence {sequence}: the file has no such shot"
+
+
+def _differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
+    # An earlier revision lacks columns.
+    for name in wanted.keys() & row.keys():
+        if row[name] != wanted[name]:
+            yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
+
+
+def _results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
+    """Whether there are results of every stored shot, or of none where the set was not judged."""
+    shots = {row["sequence"] for row in rows.shots if row["position"] == position}
+    if method == PULSE_ECHO:
+        read = [row["sequence"] for row in rows.thickness if row["position"] == position]
+        if set(read) != shots:
+            yield f"thickness is of shots {sorted(map(str, read))}, stored are {sorted(map(str, shots))}"
+        return
+    features = [row for row in rows.features if row["position"] == position]
+    of_sets = [row for row in features if row["shot_index"] is None]
+    judged = [row for row in rows.verdicts if row["position"] == position]
+    if len(of_sets) != len(judged):
+        yield f"{len(of_sets)} rows of features of the set, but {len(judged)} verdicts"
+    if features and {row["sequence"] for row in features if row["shot_index"] is not None} != shots:
+        yield "features and shots are not of the same records"

@@ -1,0 +1,393 @@
+"""``verify``: every frame, every file, and the catalogue's rows against them both ways; nothing is written.
+
+Looked at in this order, so that what a recorder does meanwhile is no damage: the catalogue's list of sets,
+the journal, the files. A set moves from the journal to a file and never back.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from daq_service.archive import SetNotFoundError, SetRecord, SetReference
+from daq_service.archive.errors import BACK
+from daq_service.archive.journal.checking import CheckedJournal, check_journal
+from daq_service.archive.records import (
+    QUARANTINE_FOLDER,
+    SETS_FOLDER,
+    TEMPORARY_SUFFIX,
+    referenced_sets,
+    set_reference,
+)
+from daq_service.archive.verification import check_file
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
+from daq_service.catalogue.history import lost_rows, parsed, read_history
+from daq_service.catalogue.verification import CatalogueLook
+from daq_service.cli.maintenance.rows import Found, RowsOfSet, differing
+from daq_service.clock import format_utc
+from daq_service.commands.audit import AUDIT_FILE
+from daq_service.errors import StorageError
+from daq_service.processes.data_folder import is_owned
+from daq_service.processes.notifications.delivery_log import LOG_FILE
+from daq_service.processes.recorder_state import FAREWELLS
+from daq_service.shared_file import read_shared
+from hardware_drivers.measurement import PLANNED_SETS, in_order
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+KINDS = {
+    "set_missing": "rows point at a set that is neither a file nor in the journal",
+    "set_unreadable": "a set's file cannot be read as a whole",
+    "set_touched": "a set's file is not the one that was written: its SHA-256 differs",
+    "shot": "a record of a set does not match its checksums",
+    "metadata": "another part of a set's file is damaged or contradicts the rest",
+    "frame": "a frame of the journal is damaged",
+    "file_without_rows": "a set has no rows, though later ones do",
+    "row": "a row differs from what was stored or from what the set's file says, or is missing",
+    "catalogue": "SQLite finds the catalogue damaged, or it is gone",
+    "experiment": "experiment.json is damaged, or tells of another experiment than the catalogue",
+    "history": "lines of history.jsonl are damaged or missing",
+    "audit": "lines of audit.jsonl are damaged or missing",
+    "notifications": "lines of notifications.jsonl are damaged or missing",
+}
+"""Kinds of damage."""
+
+TABLES = ("sets", "shots", "features", "verdicts", "thickness")
+"""Whose rows belong to a position and a set."""
+MOST_BEHIND_S = 60.0
+"""A history that is further behind was cut off, or could not be written: it follows within a second."""
+NOWHERE = "rows point at it, but it is neither a file nor in the journal"
+MADE_AGAIN = "solimon rebuild makes rows again from the files"
+LOGS = {
+    "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),
+    "notifications": (
+        LOG_FILE,
+        "who was told what is known by the receivers alone now, and a message may go out once more: keep it",
+    ),
+}
+"""By the kind of damage: a file of numbered lines, and what to do about one that is damaged."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One damage.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`.
+    file
+        Relative to the data folder.
+    shot_id
+        `shots.sequence`; None where it is no shot's.
+    told
+        What was found and what helps.
+    """
+
+    kind: str
+    file: str
+    shot_id: int | None
+    told: str
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Look:
+    """A data folder while it is looked at.
+
+    Attributes
+    ----------
+    catalogue
+        None: there is none that can be read.
+    experiment, begun
+        Its row, and the sets that had rows when the look began.
+    checked
+        What was looked at, by its name.
+    unreadable
+        What of the catalogue cannot be read.
+    progress
+        Called with how many files are done, and of how many.
+    """
+
+    folder: Path
+    catalogue: CatalogueLook | None
+    experiment: Found | None = None
+    begun: frozenset[int] = frozenset()
+    journal: CheckedJournal = field(default_factory=lambda: CheckedJournal(sets={}, damages=[]))
+    checked: Counter[str] = field(default_factory=Counter)
+    unreadable: set[str] = field(default_factory=set)
+    progress: Callable[[int, int], None] = lambda done, planned: None
+
+
+def check_catalogue(look: Look) -> Iterator[Finding]:
+    """Pages, indexes, foreign keys; shots without a set."""
+    if look.catalogue is None:
+        yield Finding(
+            kind="catalogue", file=FILE_NAME, shot_id=None, told=f"it is not there; {MADE_AGAIN} in its place"
+        )
+        return
+    for damage in look.catalogue.troubles():
+        if damage.table is None or damage.row_id is None:
+            look.unreadable.add(damage.told)
+        else:
+            shot_id = damage.row_id if damage.table == "shots" else None
+            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{damage}; {MADE_AGAIN}")
+    try:
+        look.checked["rows"] = look.catalogue.n_rows()
+        for sequence in look.catalogue.strays():
+            told = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
+            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, told=told)
+    except CatalogueDamagedError as error:
+        look.unreadable.add(str(error))
+
+
+def check_experiment(look: Look) -> Iterator[Finding]:
+    """Look at what stands beside the catalogue, so that it can be made again."""
+    try:
+        kept = read_experiment(look.folder)
+    except CatalogueError as error:
+        yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=str(error))
+    else:
+        if kept is not None and look.experiment is not None:
+            own = {name: look.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")}
+            other = {name: getattr(kept, name) for name in own}
+            if own != other:
+                told = f"it tells of {other}, the catalogue of {own}: one is foreign or damaged; {BACK}"
+                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=told)
+    running = is_owned(look.folder) is not False
+    try:
+        history = read_history(look.folder)
+    except OSError as error:
+        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=f"it cannot be read: {error}")
+        return
+    look.checked["lines_of_history"] = history.last_number
+    last_id = max(history.events, default=0)
+    if last_id and look.catalogue is not None and not look.catalogue.has_event(history.events[last_id]):
+        # A recorder, too, appends to the history what the catalogue has.
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=lost_rows(last_id))
+    # A folder from before there was either gets them with its next start.
+    older = history.last_number == 0 and not (look.folder / EXPERIMENT_FILE).exists()
+    cut_off = [] if older else _lines_cut_off(look, last_id, running=running)
+    for line in [*history.damage, *cut_off]:
+        told = f"{line}; the catalogue has it still: back it up, and keep both"
+        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
+
+
+def _lines_cut_off(look: Look, last_id: int, *, running: bool) -> Iterator[str]:
+    """Tell of events behind the history's last one that it must know.
+
+    A recorder follows within a second and before it ends. A crash costs no more; the next start writes it.
+    """
+    try:
+        lacking = [] if look.catalogue is None else look.catalogue.events_after(last_id)
+    except CatalogueDamagedError as error:
+        look.unreadable.add(str(error))
+        return
+    if not lacking:
+        return
+    behind_s = (lacking[-1]["wall_utc_ns"] - lacking[0]["wall_utc_ns"]) / NS_PER_S
+    ended = not running and not FAREWELLS.keys().isdisjoint(event["kind"] for event in lacking)
+    if ended or behind_s > MOST_BEHIND_S:
+        first, last = lacking[0]["id"], lacking[-1]["id"]
+        yield f"{HISTORY_FILE} ends before events {first} to {last}, which are {behind_s:.0f} s apart"
+
+
+def check_logs(look: Look) -> Iterator[Finding]:
+    """Look whether a line of who did what, or of who was told, was changed or taken away."""
+    for kind, (file, remedy) in LOGS.items():
+        try:
+            damage = parsed(read_shared(look.folder / file), name=file).damage
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            damage = [f"{file} cannot be read: {error}"]
+        for line in damage:
+            yield Finding(kind=kind, file=file, shot_id=None, told=f"{line}; {remedy}")
+
+
+def check_frames(look: Look) -> Iterator[Finding]:
+    """Every frame of the journal; what is damaged only at the first look was being written."""
+    first = check_journal(look.folder)
+    look.journal = check_journal(look.folder) if first.damages else first
+    look.checked["frames"], look.checked["bytes"] = look.journal.n_frames, look.journal.n_bytes
+    before = {(file, str(damage)) for file, damage in first.damages}
+    for file, damage in look.journal.damages:
+        if (file, str(damage)) in before:
+            remedy = "the others of its set are safe; the damaged one is lost but for a backup's"
+            yield Finding(kind="frame", file=file, shot_id=damage.sequence, told=f"{damage}; {remedy}")
+
+
+def check_sets(look: Look) -> Iterator[Finding]:
+    """Every file and every whole set of the journal, and its rows."""
+    paths = sorted(path for path in (look.folder / SETS_FOLDER).glob("*.h5") if referenced_sets([path.name]))
+    for number, path in enumerate(paths):
+        look.progress(number, len(paths))
+        ((index, reference),) = referenced_sets([path.name]).items()
+        yield from _check_file(look, index, reference)
+    look.progress(len(paths), len(paths))
+    for index, item in look.journal.sets.items():
+        file = item.reference
+        if file is None or (look.folder / file).exists():
+            continue
+        look.checked["sets_in_journal"] += 1
+        if item.has_records:
+            lost = frozenset(damage.sequence or 0 for damage in item.damages())
+            yield from _compare(look, _rows_of(look, index), index, file, item.record(), lost)
+
+
+def _check_file(look: Look, index: int, reference: SetReference) -> Iterator[Finding]:
+    rows = _rows_of(look, index)
+    sha256 = None if rows is None else expected_sha256(rows.sets, reference)
+    try:
+        found = check_file(look.folder / reference, sha256=sha256)
+    except SetNotFoundError:
+        return  # whether it should be there, its rows say
+    look.checked["files"] += 1
+    look.checked["bytes"] += found.n_bytes
+    if found.touched:
+        told = f"its SHA-256 is not that of the file that was written; {BACK}"
+        yield Finding(kind="set_touched", file=reference, shot_id=None, told=told)
+    for damage in found.damages:
+        kind = "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
+        yield Finding(kind=kind, file=reference, shot_id=damage.sequence, told=f"{damage}; {BACK}")
+    if found.record is not None:
+        look.checked["shots"] += len(found.record.records)
+        lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
+        yield from _compare(look, rows, index, reference, found.record, lost)
+
+
+def expected_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
+    """SHA-256 that the rows of a set know of its file; None: they know none."""
+    return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
+
+
+def _rows_of(look: Look, index: int) -> RowsOfSet | None:
+    """Rows of a set, None where the catalogue cannot be read: that is told once."""
+    if look.catalogue is None:
+        return None
+    try:
+        return RowsOfSet(**{table: look.catalogue.of_set(table, index) for table in TABLES})
+    except CatalogueDamagedError as error:
+        look.unreadable.add(str(error))
+        return None
+
+
+def _compare(
+    look: Look,
+    rows: RowsOfSet | None,
+    index: int,
+    reference: SetReference,
+    record: SetRecord,
+    lost: frozenset[int],
+) -> Iterator[Finding]:
+    if reference != set_reference(record.set_index, record.due_utc_ns):
+        told = (
+            f"it holds set {record.set_index} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
+        )
+        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{told}; {BACK}")
+        return
+    if rows is None or look.experiment is None:
+        return
+    name, own = record.provenance.get("configuration_hash"), look.experiment["configuration_hash"]
+    if name is not None and name != own:
+        told = f"its configuration is {name}, the catalogue's {own}: one of the two is foreign or damaged"
+        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{told}; move it out, or {BACK}")
+        return
+    hour_0 = record.due_utc_ns - round(record.due_h * NS_PER_H)
+    if hour_0 != look.experiment["epoch_utc_ns"]:
+        told = f"experiment: hour 0 is {look.experiment['epoch_utc_ns']}, by {reference} it is {hour_0} ns"
+        yield Finding(kind="row", file=FILE_NAME, shot_id=None, told=f"{told}; {MADE_AGAIN}")
+    if rows.sets:
+        for shot_id, told in differing(rows, record, reference, lost):
+            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{told}; {MADE_AGAIN}")
+    elif in_order(index)[0] < max((begun for begun in look.begun if begun < PLANNED_SETS), default=0):
+        told = (
+            f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
+        )
+        yield Finding(kind="file_without_rows", file=reference, shot_id=None, told=told)
+    else:
+        look.checked["sets_without_rows"] += 1
+
+
+def check_references(look: Look) -> Iterator[Finding]:
+    """Every set that rows point at is a file or in the journal."""
+    for index in sorted(look.begun):
+        rows = _rows_of(look, index)
+        files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()
+        look.checked["sets_with_rows"] += 1
+        journaled = look.journal.sets.get(index)
+        for file in sorted(files):
+            if not (look.folder / file).exists() and (journaled is None or journaled.reference != file):
+                told = f"{NOWHERE}; {BACK}"
+                yield Finding(kind="set_missing", file=file, shot_id=None, told=told)
+    for told in sorted(look.unreadable):
+        remedy = f"bring it back from a backup, or {MADE_AGAIN}"
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=f"{told}; {remedy}")
+
+
+CHECKS: tuple[Callable[[Look], Iterator[Finding]], ...] = (
+    check_catalogue,
+    check_experiment,
+    check_logs,
+    check_frames,
+    check_sets,
+    check_references,
+)
+"""In this order; each may yield any kind of damage."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What was looked at, what is damaged, and what else lies there that somebody should know of."""
+
+    checked: dict[str, int]
+    damage: list[Finding]
+    notes: list[str]
+
+
+def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda done, planned: None) -> Report:
+    """Look at everything in a data folder; beside a running test, too.
+
+    Raises
+    ------
+    StorageError
+        The folder is not there, or holds no test: damage cannot be told from a disk that is not mounted.
+    """
+    if not any((folder / name).exists() for name in (SETS_FOLDER, FILE_NAME)):
+        raise StorageError(
+            f"{folder} holds no test of solimon; see that it is the right one and its disk is there"
+        )
+    with ExitStack() as stack:
+        look = Look(folder=folder, catalogue=None, progress=progress)
+        try:
+            look.catalogue = stack.enter_context(CatalogueLook(folder))
+            look.experiment = look.catalogue.experiment()
+            # Whatever a damaged page says.
+            look.begun = frozenset(index for index in look.catalogue.set_indices() if isinstance(index, int))
+        except NoDataYetError:
+            pass
+        except CatalogueDamagedError as error:
+            look.unreadable.add(str(error))
+        damage = list(dict.fromkeys(finding for check in CHECKS for finding in check(look)))
+    return Report(checked=dict(look.checked), damage=damage, notes=_notes(look))
+
+
+def _notes(look: Look) -> list[str]:
+    """List what is no damage: still to come, left over, set aside, not ours."""
+    others = [path.name for path in (look.folder / SETS_FOLDER).glob("*") if not referenced_sets([path.name])]
+    left = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
+    strange = sorted(set(others) - set(left))
+    aside = sorted(path.name for path in (look.folder / QUARANTINE_FOLDER).glob("*"))
+    notes = []
+    if number := look.checked["sets_without_rows"]:
+        notes.append(f"{number} sets have no rows yet; the recorder's next start makes them")
+    if left:
+        notes.append(f"left over in {SETS_FOLDER}: {', '.join(left)}; solimon repair removes them")
+    if strange:
+        notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(strange)}")
+    if aside:
+        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(aside)}; remove what nobody needs")
+    return notes

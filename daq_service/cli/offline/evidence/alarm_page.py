@@ -1,0 +1,198 @@
+"""An explained alarm as one page of HTML, for whoever has to decide: reads alone, offline, no script."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from html import escape
+from importlib.metadata import version
+from typing import Any
+
+from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.guidance import GUIDANCE
+from daq_service.alarms.transitions import transition
+from daq_service.catalogue.rows import values
+from daq_service.cli.offline.evidence.changes import NOT_COMPARED
+from daq_service.cli.offline.evidence.explanation import Explained, Recomputed
+from daq_service.cli.offline.evidence.figures import Picture
+from daq_service.clock import format_utc
+from daq_service.web.report.page import STYLE, plain, table
+
+STATE = "averages"
+"""What chart and cause remember from set to set: in the JSON, no reader needs it."""
+
+
+def title_of(found: Explained) -> str:
+    """Name the alarm in a line."""
+    where = f" at position {found.alarm.position}" if found.alarm.position else ""
+    return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
+
+
+def comes_out_again(found: Explained) -> str:
+    """Say in a sentence or two what the recomputation shows."""
+    again = found.again
+    if again is None:
+        return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
+    read = f"{again.n_records} records of {again.n_sets} sets were judged again"
+    if found.agrees:
+        return (
+            f"{read}, and the same set raises the same alarm: features, baseline, limits and verdicts are "
+            "what is stored, to the last digit."
+        )
+    same = any(one.set_index == found.alarm.raised_set_index for one in again.raised)
+    others = ", ".join(f"set {one.set_index}" for one in again.raised)
+    elsewhere = f"it is raised with {others}" if others else "no set raises it"
+    then = "the same set raises it" if same else elsewhere
+    return f"{read}, and {then}; but what is stored differs in the {len(again.differences)} points below."
+
+
+def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
+    """Return the HTML."""
+    alarm, title = found.alarm, title_of(found)
+    sections = {
+        "What was found": _found(found),
+        "The picture": [_figure(picture) for picture in pictures],
+        "Does it come out again?": _again(found),
+        "What to do first": _guidance(alarm.kind),
+        "Its history": [_history(found)],
+        "Proof, as stored": [table("", (), _rows(alarm.proof))],
+    }
+    made = (
+        f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
+        f"{found.experiment.name}; severity {alarm.severity}, now {alarm.state.replace('_', ' ')}. "
+        f"Explained by solimon {version('solimon')}."
+    )
+    parts = [
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
+        "<meta name='viewport' content='width=device-width, initial-scale=1'>",
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
+        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(made)}</p></header><main>",
+    ]
+    for heading, content in sections.items():
+        if content:
+            parts += [f"<section><h2>{escape(heading)}</h2>", *content, "</section>"]
+    return "\n".join([*parts, "</main></body></html>\n"]).encode()
+
+
+def facts_of(found: Explained) -> dict[str, Any]:
+    """Return everything that the page says, and the rows behind it, as plain values."""
+    again, guidance = found.again, GUIDANCE.get(found.alarm.kind)
+    return {
+        "test": found.experiment.name,
+        "configuration_hash": found.experiment.configuration_hash,
+        "begun_by": found.experiment.solimon_version,
+        "explained_by": version("solimon"),
+        "alarm": values(found.alarm),
+        "sentences": _sentences(found),
+        "guidance": None if guidance is None else asdict(guidance),
+        "history": [transition(event) for event in found.history],
+        "agrees": found.agrees,
+        "why_not_recomputed": found.why_not or None,
+        "told": comes_out_again(found),
+        "recomputed": None if again is None else _facts_of(again),
+    }
+
+
+def _facts_of(again: Recomputed) -> dict[str, Any]:
+    pulses = again.pulses
+    return {
+        "n_sets": again.n_sets,
+        "n_records": again.n_records,
+        "raised": [asdict(one) for one in again.raised],
+        "differences": [asdict(one) for one in again.differences],
+        "baseline": None if again.baseline is None else values(again.baseline),
+        "verdicts": [values(row) for row in again.assessments],
+        "measured": [values(row) for row in again.measured],
+        "shots_without_psw": [{"set_index": index, "n": n} for index, n in again.silent.items()],
+        "pulses": None if pulses is None else asdict(pulses),
+    }
+
+
+def _sentences(found: Explained) -> list[str]:
+    baseline = None if found.again is None else found.again.baseline
+    return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
+
+
+def _found(found: Explained) -> list[str]:
+    message = found.alarm.message
+    return [
+        f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
+        *(f"<p>{escape(sentence)}</p>" for sentence in _sentences(found)),
+    ]
+
+
+def _figure(picture: Picture) -> str:
+    label = escape(picture.told, quote=True)
+    return (
+        f"<figure role='img' aria-label='{label}'>{picture.svg}</figure>"
+        f"<p class='note'>{escape(picture.told)}</p>"
+    )
+
+
+def _again(found: Explained) -> list[str]:
+    parts = [f"<p>{escape(comes_out_again(found))}</p>"]
+    again = found.again
+    if again is None:
+        return parts
+    rows = [
+        (
+            f"{one.table} {one.column}",
+            str(one.n_rows),
+            str(one.first_set_index),
+            plain(one.stored),
+            plain(one.again),
+        )
+        for one in again.differences
+    ]
+    head = ("What", "Sets", "First set", "Stored", "Recomputed")
+    parts.append(table("Values are those of the first set that differs", head, rows))
+    if assessment := next(
+        (r for r in again.assessments if r.set_index == found.alarm.raised_set_index), None
+    ):
+        row = {
+            name: value for name, value in values(assessment).items() if name not in (*NOT_COMPARED, STATE)
+        }
+        parts.append(table(f"Verdict of set {assessment.set_index}, recomputed", (), _rows(row)))
+    return parts
+
+
+def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Give name and value of what there is, also within a value."""
+    return [
+        (
+            name,
+            plain({k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value),
+        )
+        for name, value in facts.items()
+        if value is not None
+    ]
+
+
+def _guidance(kind: str) -> list[str]:
+    if (guidance := GUIDANCE.get(kind)) is None:
+        return []
+    rows = [
+        ("It says", guidance.says),
+        ("It does not say", guidance.does_not_say),
+        ("Whom to call", guidance.call),
+    ]
+    return [
+        f"<ol>{''.join(f'<li>{escape(step)}</li>' for step in guidance.look_first)}</ol>",
+        table("", (), rows),
+    ]
+
+
+def _history(found: Explained) -> str:
+    rows = []
+    for event in found.history:
+        told = transition(event)
+        rows.append(
+            (
+                format_utc(event.utc_ns, 0),
+                event.kind.replace("_", " "),
+                (told["state"] or "").replace("_", " "),
+                told["who"] or "",
+                (told["why"] or "") if told["who"] else "",
+            )
+        )
+    return table("", ("When", "What", "State", "By", "Why"), rows, "No event tells of it.")

@@ -1,0 +1,299 @@
+"""An alarm recomputed from the records of its position, and where that is not what is stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR_VERSION
+from analysis.waves.features import EXTRACTOR_VERSION
+from analysis.waves.quality_gate import ACCEPTED
+from daq_service.archive import CorruptArchiveError, FolderSetReader, SetRecord, SetReference
+from daq_service.assessment.methods import METHODS, MeasuringMethod
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    AssessmentRow,
+    BaselineRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+)
+from daq_service.cli.offline.evidence.changes import (
+    EXTRACTED,
+    JUDGED,
+    NOT_COMPARED,
+    Difference,
+    Onset,
+    differences,
+    differing_columns,
+    onsets,
+)
+from daq_service.cli.offline.evidence.pulses_of_sets import Pulses, pulses_of
+from daq_service.cli.offline.evidence.reassess import (
+    Progress,
+    assess_again,
+    extracted_features,
+    temporary_catalogue,
+)
+from daq_service.errors import UsageError
+from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.methods import SOLITARY_WAVE
+
+EXTRACTORS: Mapping[type[Row], str] = {
+    FeatureRow: EXTRACTOR_VERSION,
+    ThicknessRow: ECHO_EXTRACTOR_VERSION,
+}
+"""This version's extractor of each kind of result."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recomputed:
+    """What the records of the alarm's position say, judged again up to the set that raised it.
+
+    Attributes
+    ----------
+    n_sets, n_records
+        That were read.
+    raised
+        Onsets of alarms of this kind there.
+    differences
+        Where that is not what is stored; empty: all of it comes out again.
+    baseline
+        None where there is none.
+    measured
+        Features or thickness of the sets.
+    silent
+        Shots without a reflected wave, by set.
+    pulses
+        Waves of the set that raised it beside those of the baseline; None where there are none.
+    """
+
+    n_sets: int
+    n_records: int
+    raised: Sequence[Onset]
+    differences: Sequence[Difference]
+    baseline: BaselineRow | None
+    assessments: Sequence[AssessmentRow]
+    measured: Sequence[FeatureRow | ThicknessRow]
+    sets: Sequence[SetRow]
+    silent: Mapping[int, int]
+    pulses: Pulses | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explained:
+    """An alarm with what it rests on.
+
+    Attributes
+    ----------
+    history
+        Its events.
+    again
+        None where it does not follow from records; ``why_not`` says so.
+    """
+
+    experiment: ExperimentRow
+    settings: Settings
+    alarm: AlarmRow
+    history: Sequence[EventRow]
+    again: Recomputed | None
+    why_not: str
+
+    @property
+    def agrees(self) -> bool | None:
+        """True where all of it comes out again; None where it does not follow from records."""
+        return None if self.again is None else not self.again.differences
+
+
+def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, total: None) -> Explained:
+    """Recompute an alarm of a stored test, which may still run; the folder is only read.
+
+    Raises
+    ------
+    UsageError
+        There is no such alarm, or its results are of another version's extractor.
+    StorageError
+        There is no test, or a set that counts cannot be read.
+    """
+    refuse_other_folders(folder)
+    with open_catalogue(folder) as stored:
+        alarm = stored.alarm(alarm_id)
+        if alarm is None:
+            raise UsageError(_unknown(alarm_id, stored.rows(AlarmRow)))
+        experiment = stored.experiment_row()
+        settings = stored_settings(experiment.configuration)
+        history = [
+            event
+            for event in stored.rows(EventRow, topic="alarms")
+            if event.payload.get("alarm_id") == alarm_id
+        ]
+        why_not, again = _not_of_records(alarm), None
+        if not why_not:
+            again = _recomputed(stored, folder, settings, alarm, history, progress)
+        return Explained(
+            experiment=experiment,
+            settings=settings,
+            alarm=alarm,
+            history=history,
+            again=again,
+            why_not=why_not,
+        )
+
+
+def _unknown(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
+    told = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
+    there = f"there are {', '.join(told)}" if told else "none was raised in this test"
+    return f"there is no alarm {alarm_id}; {there}"
+
+
+def _not_of_records(alarm: AlarmRow) -> str:
+    """Say why an alarm does not follow from the records of a position; empty: it does."""
+    if alarm.position is None:
+        return "it is about the test as a whole, not about the records of a position"
+    if alarm.raised_set_index is None:
+        return "no set raised it, but a person's order or an instrument"
+    return ""
+
+
+def _recomputed(
+    stored: Catalogue,
+    folder: Path,
+    settings: Settings,
+    alarm: AlarmRow,
+    history: Sequence[EventRow],
+    progress: Progress,
+) -> Recomputed:
+    position, up_to_set = alarm.position, alarm.raised_set_index
+    assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
+    _refuse_other_extractor(stored, settings, position, up_to_set)
+    archive = FolderSetReader(folder)
+    read_set = partial(_records_at, position, archive)
+    with ExitStack() as stack:
+        again = stack.enter_context(temporary_catalogue(stored.experiment_row()))
+        assess_again(
+            stored,
+            again,
+            folder,
+            settings,
+            lambda record: extracted_features(settings.rig.dry_run, record.shots),
+            up_to_set=up_to_set,
+            read_set=read_set,
+            progress=progress,
+        )
+        baseline = again.baseline(position)
+        shots = again.rows(ShotRow, position=position)
+        raised = [one for one in onsets(again) if (one.position, one.kind) == (position, alarm.kind)]
+        method = METHODS[settings.positions[position].method]
+        found = [
+            *_of_alarm(alarm, history, again),
+            *differences((*EXTRACTED, *JUDGED), stored, again, position=position, up_to_set=up_to_set),
+        ]
+        pulses = None
+        if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
+            pulses = pulses_of(again, read_set, baseline, position, up_to_set)
+        return Recomputed(
+            n_sets=len({shot.set_index for shot in shots}),
+            n_records=len(shots),
+            raised=raised,
+            differences=found,
+            baseline=baseline,
+            assessments=again.rows(AssessmentRow, position=position),
+            measured=_of_sets(again, method, position),
+            sets=again.rows(SetRow, position=position),
+            silent=_silent(shots),
+            pulses=pulses,
+        )
+
+
+def _refuse_other_extractor(stored: Catalogue, settings: Settings, position: str, up_to_set: int) -> None:
+    kind = METHODS[settings.positions[position].method].row
+    columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
+    if others := sorted(set(columns["extractor_version"]) - {EXTRACTORS[kind]}):
+        raise UsageError(
+            f"the results at {position} are of the extractor {' and '.join(others)}, this version of solimon "
+            f"has {EXTRACTORS[kind]}: their numbers are different quantities. Explain the alarm with solimon "
+            f"{stored.experiment_row().solimon_version}, which began the test, or judge the test by this "
+            "version with solimon replay --extract"
+        )
+
+
+def _records_at(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
+    """Read a set and keep what one position gave; a set that has nothing of it is kept whole."""
+    try:
+        record = archive.read_set(reference)
+    except CorruptArchiveError:
+        # What other positions lost is no evidence here.
+        if any(damage.position in (None, position) for damage in archive.verify_set(reference)):
+            raise
+        record = archive.read_set(reference, skip_damaged=True)
+    shots = [shot for shot in record.shots if shot.key.position == position]
+    echoes = [echo for echo in record.echoes if echo.key.position == position]
+    if not (shots or echoes):
+        return record
+    return replace(
+        record,
+        positions=[place for place in record.positions if place.position == position],
+        shots=shots,
+        echoes=echoes,
+        missed=[item for item in record.missed if item.key.position == position],
+    )
+
+
+def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
+    """Compare the alarm as it was raised with the one that the same set raises again."""
+    told = next((event.payload for event in history if event.kind == "alarm_raised"), None)
+    anew: Mapping[str, Any] | None = next(
+        (
+            event.payload
+            for event in again.rows(EventRow, topic="alarms", kind="alarm_raised", position=alarm.position)
+            if (event.payload["kind"], event.set_index) == (alarm.kind, alarm.raised_set_index)
+        ),
+        None,
+    )
+    if told is not None and anew is not None:
+        of_raising = told.keys() & anew.keys() - NOT_COMPARED - {"alarm_id"} - _SUPPRESSION
+        told, anew = ({name: row[name] for name in sorted(of_raising)} for row in (told, anew))
+    assert alarm.position is not None and alarm.raised_set_index is not None, "it follows from records"  # noqa: PT018
+    return [
+        Difference(
+            table="alarm",
+            position=alarm.position,
+            column=name,
+            n_rows=1,
+            first_set_index=alarm.raised_set_index,
+            stored=left,
+            again=right,
+        )
+        for name, left, right in differing_columns(told, anew)
+    ]
+
+
+_SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(("suppressed", "shelved")))
+"""Columns that a person filled for an earlier alarm of this kind."""
+
+
+def _of_sets(
+    catalogue: Catalogue, method: MeasuringMethod, position: str
+) -> Sequence[FeatureRow | ThicknessRow]:
+    of_place: Filters = {**method.of_sets, "position": position}
+    return catalogue.rows(method.row, **of_place)
+
+
+def _silent(shots: Sequence[ShotRow]) -> dict[int, int]:
+    counts: dict[int, int] = {}
+    for shot in shots:
+        silent = shot.outcome == ACCEPTED and "no_psw" in shot.flags
+        counts[shot.set_index] = counts.get(shot.set_index, 0) + silent
+    return counts

@@ -1,0 +1,79 @@
+"""Features of sets extracted in an executor, ahead of their judgement, which takes set after set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, field
+
+from analysis.waves.features import ShotFeatures
+from daq_service.archive import SetRecord, SetReference
+from daq_service.cli.offline.evidence.reassess import extracted_features
+from daq_service.errors import SolimonError
+from daq_service.processes.executors import worker_lost
+from hardware_drivers.measurement import Shot, ShotKey, Stamp, Waveform
+
+SETS_AHEAD = 2
+"""Of each worker: so none waits, and memory holds few records."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class ExtractedAhead:
+    """Reads sets in their order, and has the features of the next ones extracted meanwhile.
+
+    Attributes
+    ----------
+    rehearsal
+        The records are noise.
+    references
+        Every set that will be asked for, in about the order in which that happens.
+    """
+
+    executor: Executor
+    workers: int
+    rehearsal: bool
+    read: Callable[[SetReference], SetRecord]
+    references: Iterator[SetReference]
+    _under_way: dict[SetReference, tuple[SetRecord, Future[dict[int, ShotFeatures]]]] = field(
+        default_factory=dict
+    )
+    _of_set: dict[int, Future[dict[int, ShotFeatures]]] = field(default_factory=dict)
+
+    def read_set(self, reference: SetReference) -> SetRecord:
+        """Give a set's record; `features` is asked for it next."""
+        for following in self.references:
+            self._begin(following)
+            if reference in self._under_way and len(self._under_way) > SETS_AHEAD * self.workers:
+                break
+        if reference not in self._under_way:
+            self._begin(reference)
+        record, future = self._under_way.pop(reference)
+        self._of_set[record.set_index] = future
+        return record
+
+    def _begin(self, reference: SetReference) -> None:
+        record = self.read(reference)
+        # Without what the twin and the instrument say of a shot: extraction does not read it.
+        records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
+        future = self.executor.submit(_extracted, self.rehearsal, records)
+        self._under_way[reference] = record, future
+
+    def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
+        """Wait for the features of a set that was read."""
+        try:
+            return self._of_set.pop(record.set_index).result()
+        except worker_lost() as error:
+            raise SolimonError(
+                "workers ended by themselves again and again (killed, or out of memory); choose fewer "
+                "--workers, or --executor threads"
+            ) from error
+
+
+def _extracted(
+    rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
+) -> dict[int, ShotFeatures]:
+    shots = [
+        Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
+        for sequence, key, stamp, waveform in records
+    ]
+    return extracted_features(rehearsal, shots)

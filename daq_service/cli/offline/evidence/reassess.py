@@ -1,0 +1,244 @@
+"""A stored test judged once more, from its files, into a catalogue of its own; the folder is only read.
+
+Sets, and what people did in between, come in the order in which they were committed. Alarms are raised anew:
+what a person acknowledged or reset then is acknowledged or reset at the same place, where it stands now.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
+from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
+from daq_service.alarms.states import (
+    AFTER_ACKNOWLEDGEMENT,
+    RETIRING,
+    Change,
+    Moment,
+    acknowledge,
+    reset,
+)
+from daq_service.archive import FolderSetReader, SetRecord, SetReference
+from daq_service.assessment.baseline_lifecycle import STEPS, planned
+from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import Catalogue, RecorderCatalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    SetRow,
+    ShotRow,
+)
+from daq_service.catalogue.store import open_for_a_while
+from daq_service.cli.offline.evidence.changes import LIFE
+from daq_service.recording.cost import Cost
+from daq_service.recording.set_assessor import SetAssessor
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
+from hardware_drivers.nanoseconds import NS_PER_H
+
+FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
+"""Features of a set's shots by their sequence."""
+ReadSet = Callable[[SetReference], SetRecord]
+Progress = Callable[[int, int], None]
+
+
+@contextmanager
+def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
+    """Give an empty catalogue of this experiment in a temporary folder, which goes with it."""
+    with (
+        tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
+        open_for_a_while(Path(folder)) as catalogue,
+    ):
+        catalogue.restore([experiment])
+        yield catalogue
+
+
+def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
+    """Read the features of a set's shots as they are stored; a shot without a row is extracted."""
+    places = {shot.key.position for shot in record.shots}
+    flags = {
+        row.sequence: tuple(row.flags)
+        for place in places
+        for row in catalogue.rows(ShotRow, position=place, set_index=record.set_index)
+    }
+    found = {
+        row.sequence: _as_extracted(row, flags.get(row.sequence, ()))
+        for row in catalogue.rows(FeatureRow, set_index=record.set_index, scope="shot")
+        if row.sequence is not None
+    }
+    return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
+
+
+def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
+    """Extract the features of a set's shots from their waveforms, as the recorder does."""
+    extract = features_of_a_rehearsal if rehearsal else features_of
+    return {shot.sequence: extract(shot) for shot in shots}
+
+
+def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
+    known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
+    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}
+    return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
+
+
+def assess_again(
+    stored: Catalogue,
+    again: RecorderCatalogue,
+    folder: Path,
+    settings: Settings,
+    features: FeaturesOfSet,
+    *,
+    up_to_set: int | None = None,
+    read_set: ReadSet | None = None,
+    progress: Progress = lambda done, total: None,
+) -> set[int]:
+    """Judge the sets of a folder once more; what comes of it fills ``again``.
+
+    Parameters
+    ----------
+    settings
+        What to judge by, which may be others than the test's own.
+    up_to_set
+        The last set that is judged; None: all.
+    read_set
+        Reads a set's record; None: as it is stored.
+    progress
+        Called with the sets that are done and their number.
+
+    Returns
+    -------
+    set of int
+        Indices of the sets that were judged.
+
+    Raises
+    ------
+    ArchiveError
+        A set cannot be read, or not wholly.
+    """
+    archive = FolderSetReader(folder)
+    return _Again(stored, again, archive, settings, features, read_set or archive.read_set).run(
+        up_to_set, progress
+    )
+
+
+class _Again:
+    def __init__(
+        self,
+        stored: Catalogue,
+        again: RecorderCatalogue,
+        archive: FolderSetReader,
+        settings: Settings,
+        features: FeaturesOfSet,
+        read_set: ReadSet,
+    ) -> None:
+        self._stored, self._again, self._settings = stored, again, settings
+        self._features, self._read_set = features, read_set
+        self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
+        self._ledger = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
+        # Alarms of this judgement are no news of a test.
+        logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
+
+    def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
+        events = [
+            event
+            for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
+            if event.topic != "verdicts" or event.kind in STEPS
+        ]
+        total = len({event.set_index for event in events if self._is_set(event, up_to_set)})
+        done: set[int] = set()
+        for event in events:
+            if event.kind in STEPS:
+                self._take_step(event)
+            elif event.set_index is None:
+                self._take_deed(event)
+            elif self._is_set(event, up_to_set) and event.set_index not in done:
+                self._take_set(event.set_index)
+                done.add(event.set_index)
+                progress(len(done), total)
+                if event.set_index == up_to_set:
+                    break
+        return {index for index in done if index < PLANNED_SETS}
+
+    @staticmethod
+    def _is_set(event: EventRow, up_to_set: int | None) -> bool:
+        if event.topic != "sets" or event.set_index is None:
+            return False
+        return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
+
+    def _take_set(self, set_index: int) -> None:
+        rows = self._stored.rows(SetRow, set_index=set_index)
+        file = next((row.file for row in rows if row.file), None)
+        if file is None:
+            self._take_empty(rows)
+            return
+        record = self._read_set(SetReference(file))
+        due = due_of(record)
+        if due.position in (None, *self._settings.positions):
+            self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
+
+    def _take_empty(self, rows: list[SetRow]) -> None:
+        """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
+        self._ledger.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
+        for row in rows:
+            if row.purpose is None and row.state != "retired" and row.n_missed:
+                utc_ns = row.ended_utc_ns or row.due_utc_ns
+                moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
+                for condition in self._ledger.passed(row):
+                    self._ledger.tell(condition, moment)
+
+    def _take_step(self, event: EventRow) -> None:
+        """Do again what a person did to a baseline; its numbers are those of this judgement."""
+        told = BaselineRow(
+            **{name: event.payload[name] for name in BaselineRow.__slots__ if name in event.payload}
+        )
+        rows = {row.id: row for row in self._again.rows(BaselineRow, position=told.position)}
+        if (present := rows.get(told.id)) is not None:
+            step = {name: getattr(told, name) for name in LIFE}
+            self._again.restore([replace(present, **step)])
+        else:  # a successor that begins: as many sets as a baseline has by these settings
+            its = planned(told.position, self._settings, self._again.baseline(told.position))
+            last_set = told.first_set_index + its.last_set - its.first_set
+            self._again.restore([replace(told, last_set_index=last_set)])
+        self._ledger.renewed(told.position)
+
+    def _take_deed(self, event: EventRow) -> None:
+        """Do again what a person did to an alarm, where it stands in this judgement, too."""
+        if event.topic != "alarms" or "kind" not in event.payload:
+            return
+        kind = event.payload["kind"]
+        row = self._ledger.alarms.get((event.position, kind))
+        due_h = (event.utc_ns - self._epoch_utc_ns) / NS_PER_H
+        moment = Moment(utc_ns=event.utc_ns, due_h=due_h, set_index=None)
+        author = event.payload.get("author") or event.payload.get("acknowledged_by") or ""
+        note = event.payload.get("note") or ""
+        change = None
+        if event.kind == "alarm_raised":  # by a person's order, or by what the records do not tell
+            told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
+            change = Change(row=AlarmRow(**{**told, "id": None}), event_kind=event.kind)
+        elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:
+            change = acknowledge(row, author, note, moment)
+        elif row is not None and event.kind == "alarm_reset" and row.state != "normal":
+            change = reset(row, author, note, moment)
+        if change is not None:
+            transaction = Transaction()
+            transaction.add_alarm(change, moment)
+            self._ledger.commit(transaction)
+        if event.kind == "alarm_reset" and kind in RETIRING and event.position in self._settings.positions:
+            self._ledger.reinstated(event.position)
+
+
+def printed_progress(done: int, total: int) -> None:
+    """Tell on standard error how far it is."""
+    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)

@@ -1,0 +1,136 @@
+"""``audit.jsonl``: who asked for what, from where, and what came of it.
+
+Append-only lines like those of ``history.jsonl``, in a file of their own: what is refused before there is a
+catalogue, or while it is damaged, is told all the same, and a lost catalogue loses none of it. Every process
+may add lines, one after the other. Trouble with the file is a warning: nobody is kept from a hold by a full
+disk. A flood of refusals leaves a bounded number of lines, and the count of what was left out.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from daq_service.processes.line_file import append_line, newest_lines
+
+log = logging.getLogger(__name__)
+
+AUDIT_FILE = "audit.jsonl"
+TABLE = "audit"
+MOST_REFUSALS, REFUSAL_EVERY_S = 100, 120.0
+"""Lines of refusals of one name, or of all strangers: so many at once, then one each two minutes. A flood
+for a year comes to 80 MB."""
+TERMINAL = "terminal"
+"""Where who asks sits at the computer itself."""
+Result = Literal["accepted", "done", "refused", "failed"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditEntry:
+    """What somebody asked for.
+
+    Attributes
+    ----------
+    who
+        Name of the token, or the one that was claimed; empty: nobody knows.
+    role
+        Of the token, ``claimed``, or empty for a stranger.
+    source
+        Network address, or ``terminal``.
+    what
+        Kind of an order, or what it was about: ``log_in``, ``create_token``, ``enter``.
+    result, why
+        What came of it; ``accepted`` is an order that a recorder has yet to carry out.
+    command_id
+        Row of ``commands`` that tells what became of it.
+    left_out
+        Refusals before this one that are not told.
+    """
+
+    who: str
+    role: str
+    source: str
+    what: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    result: Result
+    why: str = ""
+    command_id: int | None = None
+    left_out: int = 0
+    utc_ns: int = field(default_factory=time.time_ns)
+
+
+class Allowance:
+    """So many at once, then one in a while."""
+
+    def __init__(self, most: int, every_s: float, *, mono_s: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._every_s, self._mono_s = most, every_s, mono_s
+        self._left, self._at_s = float(most), mono_s()
+
+    def take(self) -> bool:
+        """Take one if there is one."""
+        now_s = self._mono_s()
+        self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
+        self._at_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class Audit:
+    """Adds to the audit of a data folder; for any thread."""
+
+    def __init__(self, folder: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._mono_s = folder / AUDIT_FILE, mono_s
+        self._allowances: dict[str, Allowance] = {}
+        self._left_out = 0
+        self._lock = threading.Lock()
+
+    def leave_out(self) -> None:
+        """Count a refusal that is not told."""
+        with self._lock:
+            self._left_out += 1
+
+    def tell(self, **deed: Any) -> None:
+        """Add a deed, unless it is one refusal too many."""
+        told = AuditEntry(**deed)
+        with self._lock:
+            if told.result == "refused" and not self._allowance(told).take():
+                self._left_out += 1
+                return
+            left_out, self._left_out = self._left_out, 0
+        try:
+            append_line(self._path, TABLE, asdict(told) | {"left_out": left_out})
+        except OSError as error:
+            log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, told.what, told.result, told.who, error)
+
+    def _allowance(self, deed: AuditEntry) -> Allowance:
+        whose = deed.who if deed.role not in ("", "claimed") else deed.role
+        if whose not in self._allowances:
+            self._allowances[whose] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, mono_s=self._mono_s)
+        return self._allowances[whose]
+
+
+def read_audit(
+    folder: Path,
+    *,
+    limit: int,
+    end: int | None = None,
+    wanted: Callable[[AuditEntry], bool] = lambda deed: True,
+) -> tuple[list[tuple[int, AuditEntry]], int | None]:
+    """Read the newest deeds and their numbers, as `line_file.newest_lines` (`solimon verify` tells damage).
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    """
+    found, before = newest_lines(
+        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(AuditEntry(**row))
+    )
+    return [(number, AuditEntry(**row)) for number, row in found], before

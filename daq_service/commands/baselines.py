@@ -1,0 +1,95 @@
+"""Orders about baselines: a signature, and a successor after a repair or a re-seat."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED, reset
+from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, renewed, signed
+from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerOrder
+from daq_service.settings.foreign_text import require_written
+
+if TYPE_CHECKING:
+    from daq_service.commands.running_test import RunningTest
+
+
+class RenewalArguments(TransducerArguments):
+    """Whose baseline is retired, and why."""
+
+    note: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(partial(require_written, message="say why the baseline is retired")),
+    ]
+
+
+class ApproveBaseline(TransducerOrder):
+    """Sign a proposed baseline."""
+
+    kind: Literal["approve_baseline"]
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        unknown = super()._forbidden(facts)
+        row = facts.baselines.get(position)
+        state = "collecting" if row is None else row.state
+        if unknown is None and row is not None and state == "proposed" and row.limit_reason:
+            reason = f"the baseline of {position} has no limits: {row.limit_reason}"
+            return Refusal(reason, "Nothing is judged by it, signed or not.")
+        if unknown is not None or state == "proposed":
+            return unknown
+        reason = f"the baseline of {position} is {state}: there is nothing to sign"
+        return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        return None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        row = test.baseline(self.arguments.position)
+        assert row is not None, "a proposed baseline has a row"
+        moment = test.moment()
+        test.change_baselines(moment, (signed(row, self.author, moment.utc_ns), APPROVED))
+        return f"{row.name} is approved"
+
+
+class RenewBaseline(TransducerOrder):
+    """Retire a baseline: its successor collects from the next planned set on."""
+
+    kind: Literal["renew_baseline"]
+    arguments: RenewalArguments
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = (
+            f"{position} is retired and takes no sets",
+            "Reinstate it first, then renew its baseline.",
+        )
+        return (
+            None if retired is None else Refusal(reason, hint, f"{reason[0].upper()}{reason[1:]}: {retired}.")
+        )
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position, moment, because = self.arguments.position, test.moment(), self.arguments.note.strip()
+        retired, collecting = renewed(
+            position,
+            test.settings,
+            test.baseline(position),
+            first_set=test.next_set(),
+            author=self.author,
+            because=because,
+            utc_ns=moment.utc_ns,
+        )
+        # Nothing has returned to normal: what they were judged by is gone.
+        ended = [
+            reset(row, self.author, f"its baseline was retired: {because}", moment)
+            for kind in (*ALARMS_OF_CHANGE, NOT_ASSESSED)
+            if (row := test.alarms.get((position, kind))) is not None and row.state != "normal"
+        ]
+        test.change_baselines(moment, (retired, RETIRED), (collecting, COLLECTING), ended=ended)
+        test.renewed(position)
+        return (
+            f"{retired.name} is retired; {collecting.name} collects sets {collecting.first_set_index} to "
+            f"{collecting.last_set_index}, and nothing is judged at {position} till then"
+        )

@@ -1,0 +1,543 @@
+"""Orders to a running test: of each kind its arguments, what forbids it, and what it does.
+
+The web and the command line check the arguments; the web asks `Order.forbidden` of what is stored, the
+recorder of what is so now. A new kind is a class here, or in a module beside, and a name in `every.AnyOrder`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from daq_service.alarms import states
+from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
+from daq_service.clock import SimulatedClock, WallClock
+from daq_service.settings.foreign_text import WRITTEN, require_written
+
+if TYPE_CHECKING:
+    from daq_service.commands.running_test import Awaited, RunningTest, StoredTest
+
+LARGEST_ID = 2**53 - 1
+LARGEST_HOUR = 1e7
+
+SEEN = {"pattern": WRITTEN.pattern}
+Author = Annotated[
+    str,
+    Field(min_length=1, max_length=80, description="Who gives the order", json_schema_extra=SEEN),
+    AfterValidator(partial(require_written, message="name the person who gives the order")),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What may forbid an order.
+
+    Attributes
+    ----------
+    recorder
+        How it is, in one word of `processes.recorder_state`; whoever obeys is running.
+    recorded
+        Somebody holds the recorder's lock, or nobody can tell.
+    can_skip_time
+        The test runs on a simulated clock; asked by the web: on one that is paced.
+    held
+        Who holds the test and why; empty while it runs.
+    positions
+        The solitary-wave transducers.
+    alarms
+        Rows, with at least the newest of each position and kind.
+    places
+        Every position, of any method.
+    annotations
+        Rows.
+    baselines
+        The newest of each position that has one.
+    """
+
+    recorder: str = "running"
+    recorded: bool = True
+    can_skip_time: bool
+    held: str
+    positions: Sequence[str]
+    has_supply: bool
+    alarms: Sequence[AlarmRow]
+    places: Sequence[str] = ()
+    annotations: Sequence[AnnotationRow] = ()
+    baselines: Mapping[str, BaselineRow] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why an order cannot be carried out.
+
+    Attributes
+    ----------
+    reason
+        The recorder's answer.
+    hint
+        What would help, for whoever asks the web.
+    sentence
+        The web's answer where it is not the reason as a sentence.
+    missing
+        What the order is about does not exist.
+    """
+
+    reason: str
+    hint: str
+    sentence: str = ""
+    missing: bool = False
+
+    @property
+    def detail(self) -> str:
+        """The web's answer."""
+        return self.sentence or f"{self.reason[0].upper()}{self.reason[1:]}."
+
+
+class Strict(BaseModel):
+    """Refuses what it does not know, and takes no ``true`` for 1 V and no text for a number."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class NoArguments(Strict):
+    """The order needs none."""
+
+
+class NoteArguments(Strict):
+    """Why; shown to everybody."""
+
+    note: str = Field(default="", max_length=2000)
+
+
+class AlarmArguments(NoteArguments):
+    """Which alarm was seen."""
+
+    alarm_id: int = Field(ge=1, le=LARGEST_ID)
+
+
+class AnnotationArguments(Strict):
+    """An instant or a range of hours, and what is to be known of it."""
+
+    from_h: float = Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="First hour")
+    to_h: float | None = Field(
+        default=None,
+        ge=-LARGEST_HOUR,
+        le=LARGEST_HOUR,
+        allow_inf_nan=False,
+        description="Last hour; null: an instant",
+    )
+    position: str | None = Field(
+        default=None, min_length=1, max_length=16, description="null: the whole test"
+    )
+    text: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(partial(require_written, message="write the note")),
+    ]
+
+    @model_validator(mode="after")
+    def _forwards(self) -> Self:
+        if self.to_h is not None and self.to_h < self.from_h:
+            raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
+        return self
+
+
+class WithdrawalArguments(Strict):
+    """Which annotation is no longer to be shown."""
+
+    annotation_id: int = Field(ge=1, le=LARGEST_ID)
+
+
+class ReasonArguments(Strict):
+    """Why; shown to everybody for as long as it lasts."""
+
+    note: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra=SEEN),
+        AfterValidator(
+            partial(require_written, message="say why the test is paused, such as 'hands in the rig'")
+        ),
+    ]
+
+
+class TransducerArguments(NoteArguments):
+    """Which transducer, and why."""
+
+    position: str = Field(min_length=1, max_length=16)
+
+
+class SupplyArguments(NoteArguments):
+    """Voltage and current limit; null: as configured. Beyond the configured caps the recorder refuses."""
+
+    voltage_v: float | None = Field(default=None, gt=0.0, le=60.0)
+    current_limit_a: float | None = Field(default=None, gt=0.0, le=100.0)
+
+
+class OrderRefusedError(ValueError):
+    """An order cannot be carried out now; ``refusal`` says why."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.reason)
+        self.refusal = refusal
+
+
+class Order(Strict):
+    """What a person asks of a test."""
+
+    needs_recorder: ClassVar[bool] = True
+    rows_only: ClassVar[bool] = False
+    """It does nothing but store one transaction, in which its answer stands too."""
+    kind: str
+    author: Author = "operator"
+    arguments: Any = NoArguments()
+
+    def forbidden(self, facts: Facts) -> Refusal | None:
+        """Why it cannot be carried out now; None where nothing forbids it."""
+        told = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
+        if self.needs_recorder and (told or not facts.recorded):
+            return Refusal(
+                f"{told or 'nobody records this test'}: nobody would carry this out",
+                "Start it with `solimon run` or `solimon record`, then give the order again.",
+            )
+        return self._forbidden(facts)
+
+    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | Awaited:
+        """Do it and return what was done, or what returns that as soon as an instrument has answered.
+
+        Raises
+        ------
+        ValueError
+            It was not done, and why.
+        """
+        self.refuse_forbidden(facts)
+        return self._carry_out(test, order_id)
+
+    def refuse_forbidden(self, facts: Facts) -> None:
+        """Go on only where nothing forbids it now.
+
+        Raises
+        ------
+        OrderRefusedError
+            What does.
+        """
+        refusal = self.forbidden(facts)
+        if refusal is not None:
+            raise OrderRefusedError(refusal)
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        return None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str | Awaited:
+        raise NotImplementedError
+
+
+class FinishNow(Order):
+    """Stop pacing: the rest of the simulated test runs as fast as it goes."""
+
+    kind: Literal["finish_now"]
+    arguments: NoArguments = NoArguments()
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.can_skip_time:
+            return None
+        return Refusal(
+            "the test runs on the wall clock, which cannot skip time",
+            "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
+            "This test is not paced: it already runs as fast as its clock allows.",
+        )
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
+        test.clock.finish_now()
+        return "no pacing from here on"
+
+
+class Stop(Order):
+    """End the recording after the current set."""
+
+    kind: Literal["stop"]
+    arguments: NoArguments = NoArguments()
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        test.stop.set()
+        return "stopping after the shot being taken"
+
+
+class DeskOrder(Order):
+    """An order about what is stored: where nobody records, the web service carries it out."""
+
+    needs_recorder = False
+    rows_only = True
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        return self.carry_out_stored(test)
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Do what nothing forbids, in one transaction, and say what was done."""
+        raise NotImplementedError
+
+
+class AcknowledgeAlarm(DeskOrder):
+    """An operator has seen an alarm."""
+
+    kind: Literal["acknowledge_alarm"]
+    arguments: AlarmArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.alarm_id
+        state = next((row.state for row in facts.alarms if row.id == wanted), None)
+        if state in states.AFTER_ACKNOWLEDGEMENT:
+            return None
+        if state is None:
+            reason, sentence = f"there is no current alarm {wanted}", f"There is no alarm {wanted}."
+            return Refusal(reason, "/api/v1/alarms lists them.", sentence, missing=True)
+        return Refusal(
+            f"alarm {wanted} is {state}: there is nothing to acknowledge",
+            f"Only alarms that are {' or '.join(states.AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Carry the alarm on."""
+        (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
+        moment = test.moment()
+        test.change_alarms(moment, states.acknowledge(row, self.author, self.arguments.note, moment))
+        return "acknowledged"
+
+
+class Annotate(DeskOrder):
+    """Note something of an hour of the test, or of a range."""
+
+    kind: Literal["annotate"]
+    arguments: AnnotationArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        if position is None or position in facts.places:
+            return None
+        return Refusal(
+            f"there is no position {position!r}",
+            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
+            missing=True,
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Add it."""
+        given = self.arguments
+        row = AnnotationRow(
+            position=given.position,
+            from_h=given.from_h,
+            to_h=given.from_h if given.to_h is None else given.to_h,
+            text=given.text.strip(),
+            author=self.author,
+            written_utc_ns=test.moment().utc_ns,
+        )
+        test.annotate(row, "annotation_added")
+        return "noted"
+
+
+class WithdrawAnnotation(DeskOrder):
+    """Take an annotation back; it stays in the catalogue, with who withdrew it."""
+
+    kind: Literal["withdraw_annotation"]
+    arguments: WithdrawalArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.annotation_id
+        row = next((row for row in facts.annotations if row.id == wanted), None)
+        if row is None:
+            return Refusal(
+                f"there is no annotation {wanted}", "/api/v1/annotations lists them.", missing=True
+            )
+        if row.withdrawn_utc_ns is None:
+            return None
+        return Refusal(
+            f"annotation {wanted} was withdrawn by {row.withdrawn_by} already",
+            "Note it again if it is still true.",
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Mark it."""
+        (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
+        withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
+        test.annotate(withdrawn, "annotation_withdrawn")
+        return "withdrawn"
+
+
+class Hold(Order):
+    """Strike nothing until the test is released, not even after a restart."""
+
+    rows_only = True
+    kind: Literal["hold"]
+    arguments: ReasonArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        reason = f"the test is already on hold: {facts.held}"
+        return Refusal(reason, "Release it first; a hold has one reason.") if facts.held else None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        held = f"held by {self.author}: {self.arguments.note}"
+        test.tell("hold", {"held": held, "author": self.author})
+        return "on hold: nothing strikes until the test is released; sets that fall due are missed"
+
+
+class Release(Order):
+    """End a hold: the next due set is taken."""
+
+    rows_only = True
+    kind: Literal["release"]
+    arguments: NoteArguments = NoteArguments()
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        hint = "Only a test on hold can be released."
+        return None if facts.held else Refusal("the test is not on hold", hint)
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        test.tell("release", {"held": "", "author": self.author, "note": self.arguments.note})
+        return "released: the next due set is taken"
+
+
+class TrustClock(Order):
+    """Go on with the system's clock though it is doubted."""
+
+    kind: Literal["trust_clock"]
+    arguments: NoteArguments = NoteArguments()
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        standing = ("unacknowledged", "acknowledged")
+        if any(row.kind == CLOCK_DOUBTED and row.state in standing for row in facts.alarms):
+            return None
+        return Refusal(
+            "nobody doubts the system's clock", "The alarm clock_doubted stands while it is doubted."
+        )
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        assert isinstance(test.clock, WallClock), "no other clock is doubted"
+        return test.clock.trust()
+
+
+class TransducerOrder(Order):
+    """About a solitary-wave transducer."""
+
+    rows_only = True
+    arguments: TransducerArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        if position not in facts.positions:
+            nobody = f"there is no solitary-wave transducer {position!r}"
+            names = f"there are: {', '.join(facts.positions) or 'none'}"
+            return Refusal(f"{nobody}; {names}", f"T{names[1:]}.", f"T{nobody[1:]}.")
+        return self._forbidden_at(position, states.retired_positions(facts.alarms).get(position))
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        raise NotImplementedError
+
+
+class Retire(TransducerOrder):
+    """Strike a transducer no more; the others go on."""
+
+    kind: Literal["retire"]
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is retired already", "Reinstate it when it is put right."
+        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position, moment = self.arguments.position, test.moment()
+        condition = states.Condition(
+            position=position,
+            kind="retired",
+            severity="medium",
+            present=True,
+            latched=True,
+            message=f"retired by {self.author}: {self.arguments.note or 'no reason given'}",
+            proof={"command_id": order_id},
+        )
+        change = states.update(test.alarms.get((position, "retired")), condition, moment)
+        assert change is not None, "a position that is not retired has no such alarm standing"
+        test.change_alarms(moment, change)
+        return f"{position} strikes no more"
+
+
+class Reinstate(TransducerOrder):
+    """Let a retired transducer strike again: what was wrong is put right."""
+
+    kind: Literal["reinstate"]
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is not retired", "/api/v1/transducers tells which are, and why."
+        return Refusal(reason, hint) if retired is None else None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position, moment = self.arguments.position, test.moment()
+        standing = [
+            row
+            for (place, kind), row in test.alarms.items()
+            if place == position and kind in states.RETIRING and row.state != "normal"
+        ]
+        changes = [states.reset(row, self.author, self.arguments.note, moment) for row in standing]
+        test.change_alarms(moment, *changes)
+        test.reinstated(position)
+        return f"{position} strikes again from the next set"
+
+
+class Confirm(TransducerOrder):
+    """Strike a confirmation set beside the plan, outside chart and baseline."""
+
+    kind: Literal["confirm"]
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.held:
+            reason = f"the test is on hold: {facts.held}"
+            return Refusal(reason, "Release it when nobody's hands are in the rig any more.")
+        return super()._forbidden(facts)
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is retired", "Reinstate it when it is put right."
+        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position = self.arguments.position
+        because = self.arguments.note or f"{self.author} wants to know"
+        test.store(test.confirmation(position, self.author, because))
+        return f"a confirmation set is struck at {position} as soon as the line is free"
+
+
+class _SupplyOrder(Order):
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.has_supply:
+            return None
+        return Refusal(
+            "this test has no supply; configure [rig.supply]",
+            "Configure [rig.supply] and start the test anew.",
+            "This test has no supply.",
+        )
+
+
+class SupplyOn(_SupplyOrder):
+    """Switch the corrosion drive on; only a person's order ever does."""
+
+    kind: Literal["supply_on"]
+    author: Author
+    arguments: SupplyArguments = SupplyArguments()
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
+        volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
+        return test.switch.supply_on(
+            self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
+        )
+
+
+class SupplyOff(_SupplyOrder):
+    """Switch the corrosion drive off."""
+
+    kind: Literal["supply_off"]
+    arguments: NoteArguments = NoteArguments()
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
+        return test.switch.supply_off(self.author, test.moment().due_h)

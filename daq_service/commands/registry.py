@@ -1,0 +1,71 @@
+"""Every kind of order, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, get_args
+
+from pydantic import Field, ValidationError
+
+from daq_service.commands.baselines import ApproveBaseline, RenewBaseline
+from daq_service.commands.kinds import (
+    AcknowledgeAlarm,
+    Annotate,
+    Confirm,
+    FinishNow,
+    Hold,
+    Order,
+    Reinstate,
+    Release,
+    Retire,
+    Stop,
+    SupplyOff,
+    SupplyOn,
+    TrustClock,
+    WithdrawAnnotation,
+)
+from daq_service.commands.suppression import ReturnToService, ShelveAlarm, TakeOutOfService, UnshelveAlarm
+from daq_service.errors import UsageError
+
+AnyOrder = Annotated[
+    FinishNow
+    | Stop
+    | AcknowledgeAlarm
+    | Hold
+    | Release
+    | TrustClock
+    | Retire
+    | Reinstate
+    | Confirm
+    | SupplyOn
+    | SupplyOff
+    | Annotate
+    | WithdrawAnnotation
+    | ShelveAlarm
+    | UnshelveAlarm
+    | TakeOutOfService
+    | ReturnToService
+    | ApproveBaseline
+    | RenewBaseline,
+    Field(discriminator="kind"),
+]
+KINDS: Mapping[str, type[Order]] = {
+    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyOrder)[0])
+}
+
+
+def parse_command(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
+    """Check an order that is no JSON of the web.
+
+    Raises
+    ------
+    UsageError
+        An unknown kind, or what is wrong with its author or arguments.
+    """
+    if kind not in KINDS:
+        raise UsageError(f"unknown order {kind!r}; there are {', '.join(KINDS)}")
+    try:
+        return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
+    except ValidationError as error:
+        wrong = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
+        raise UsageError("; ".join(wrong)) from error

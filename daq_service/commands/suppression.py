@@ -1,0 +1,106 @@
+"""Orders that shelve alarms, or take them out of service, and back."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from daq_service.alarms import states
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.commands.kinds import LARGEST_ID, SEEN, AlarmArguments, DeskOrder, Facts, Refusal, Strict
+from daq_service.settings.foreign_text import require_written
+
+if TYPE_CHECKING:
+    from daq_service.commands.running_test import StoredTest
+
+Reason = Annotated[
+    str,
+    Field(min_length=1, max_length=500, json_schema_extra=SEEN, description="Why; shown to everybody"),
+    AfterValidator(partial(require_written, message="give the reason")),
+]
+
+
+class OutOfServiceArguments(Strict):
+    """Which alarm, and why."""
+
+    alarm_id: int = Field(ge=1, le=LARGEST_ID)
+    reason: Reason
+
+
+class ShelfArguments(OutOfServiceArguments):
+    """Which alarm, for how long, and why."""
+
+    for_h: float = Field(
+        gt=0.0, le=states.LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again"
+    )
+
+
+class _AlarmOrder(DeskOrder):
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        """Carry an alarm on; ValueError where its state does not allow that."""
+        raise NotImplementedError
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.alarm_id
+        row = next((row for row in facts.alarms if row.id == wanted), None)
+        if row is None:
+            return Refusal(f"there is no alarm {wanted}", "/api/v1/alarms lists them.", missing=True)
+        alike = (other for other in facts.alarms if (other.position, other.kind) == (row.position, row.kind))
+        newest = max(other.id or 0 for other in alike)
+        if newest != wanted:
+            return Refusal(f"alarm {wanted} is over, alarm {newest} came after it", f"Choose alarm {newest}.")
+        try:
+            self._change(row, states.Moment(utc_ns=0, due_h=0.0, set_index=None))
+        except ValueError as error:
+            return Refusal(str(error), "/api/v1/alarms tells how it is now.")
+        return None
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Carry the alarm on."""
+        moment = test.moment()
+        test.change_alarms(moment, self._change(test.alarm(self.arguments.alarm_id), moment))
+        return self.kind.replace("_", " ")
+
+
+class ShelveAlarm(_AlarmOrder):
+    """Be told nothing of an alarm for a while."""
+
+    kind: Literal["shelve_alarm"]
+    arguments: ShelfArguments
+
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        given = self.arguments
+        return states.shelve(row, self.author, given.reason.strip(), given.for_h, moment, time.time_ns())
+
+
+class UnshelveAlarm(_AlarmOrder):
+    """Be told of a shelved alarm again."""
+
+    kind: Literal["unshelve_alarm"]
+    arguments: AlarmArguments
+
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.end_suppression(row, "shelved", self.author, self.arguments.note, moment)
+
+
+class TakeOutOfService(_AlarmOrder):
+    """Be told nothing of an alarm until it is returned to service."""
+
+    kind: Literal["take_out_of_service"]
+    arguments: OutOfServiceArguments
+
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
+
+
+class ReturnToService(_AlarmOrder):
+    """Be told again of an alarm that was out of service."""
+
+    kind: Literal["return_to_service"]
+    arguments: AlarmArguments
+
+    def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        return states.end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -1,0 +1,355 @@
+"""What was taken is made durable, acknowledged, filed and looked after; trouble waits and is told."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
+from daq_service.alarms.process_trouble import web_condition
+from daq_service.alarms.states import Condition, Moment
+from daq_service.archive import Archive, SetRecord, StoredSet
+from daq_service.assessment.transaction import Transaction
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.tiles import TileMaker
+from daq_service.background.verification import IdleVerification
+from daq_service.background.write_retry_queue import PASSING, Trouble, WriteRetryQueue
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.history import HistoryFollower
+from daq_service.processes.disk_policy import DiskWatch
+from daq_service.processes.heartbeat import WebWatch
+from daq_service.recording.computer_load import ComputerLoadWatch
+from daq_service.recording.set_assessor import SetAssessor
+
+log = logging.getLogger(__name__)
+
+WAIT_FOR_FILES_S = 60.0
+"""A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
+MOST_UNDER_WAY = 40
+"""Whole sets whose files are being made: two segments of the journal."""
+LOOK_EVERY_S = 0.1
+"""How often a recorder that can do nothing else looks for orders, and whether the disk takes what waits."""
+
+DISK_SPACE = "disk_space"
+"""Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
+
+Idle = Callable[[], bool]
+"""Beats, listens to the operator and lets what waits be stored; False when the recorder shall stop."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Helpers:
+    """What works beside the line; each may be left out.
+
+    Attributes
+    ----------
+    compaction
+        Gives sets of the journal their files.
+    idle_check
+        Reads stored sets while nothing is due.
+    tiling
+        Adds sets to the tiles of the waterfall.
+    history
+        Follows the catalogue, so that it can be made again.
+    disk
+        Watches the volume.
+    machine
+        Reads with each set what the test costs its computer.
+    web
+        Watches the web service of the folder.
+    acknowledged
+        Called with the id of each shot (`Shot.sequence`) once it is durable.
+    """
+
+    compaction: SetFinalizer | None = None
+    idle_check: IdleVerification | None = None
+    tiling: TileMaker | None = None
+    history: HistoryFollower | None = None
+    disk: DiskWatch | None = None
+    machine: ComputerLoadWatch | None = None
+    web: WebWatch | None = None
+    acknowledged: Callable[[int], None] = lambda shot_id: None
+
+
+class Persistence:
+    """Where the recorder leaves what it has taken.
+
+    Parameters
+    ----------
+    limit_bytes
+        Memory that sets may take while no disk takes them.
+    moment
+        Now, for alarms and events.
+    on_trouble
+        Called when the disk begins or ceases to refuse.
+    look_every_s
+        Pause between two looks while everything else waits.
+    """
+
+    def __init__(
+        self,
+        archive: Archive,
+        catalogue: RecorderCatalogue,
+        ledger: SetAssessor,
+        helpers: Helpers,
+        *,
+        limit_bytes: int,
+        stop: threading.Event,
+        moment: Callable[[], Moment],
+        on_trouble: Callable[[], None],
+        look_every_s: float = LOOK_EVERY_S,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._archive, self._catalogue, self._ledger = archive, catalogue, ledger
+        self._compaction, self._idle_check = helpers.compaction, helpers.idle_check
+        self._tiling = helpers.tiling
+        self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
+        self._stop, self._moment, self._mono_s = stop, moment, mono_s
+        self._on_trouble, self._look_every_s = on_trouble, look_every_s
+        self._web = helpers.web
+        self._web_is_missing: bool | None = None
+        self._told_ids: set[int] = set()
+        self._told_damaged: dict[str, str] = {}
+        self._told_trouble = self._told_compaction = ""
+        self._trouble_until_ns = -1
+        self._backlog = WriteRetryQueue(
+            limit_bytes=limit_bytes, on_change=self._report_trouble, refusal=self._refusal, mono_s=mono_s
+        )
+
+    @property
+    def trouble(self) -> Trouble | None:
+        """Why the disk takes nothing; None: it does."""
+        return self._backlog.trouble
+
+    @property
+    def has_room(self) -> bool:
+        """Whether another set may be taken."""
+        return self._backlog.has_room
+
+    @property
+    def waiting(self) -> str:
+        """What waits for the disk, in words; empty: nothing."""
+        if self.trouble is None:
+            return ""
+        return f"{len(self._backlog)} jobs wait in memory for the disk: {self.trouble.message}"
+
+    def hindered(self, since_utc_ns: int) -> str:
+        """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
+        is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
+        return "" if is_over else f"the recorder waited for the disk: {self._told_trouble}"
+
+    # Shots and sets -------------------------------------------------------------------------------
+
+    def acknowledge(self) -> bool:
+        """Make durable what was taken, and tell its ids; a disk that refuses is told of, and asked again."""
+        if self._refusal():
+            return False
+        try:
+            self._sync()
+        except PASSING as error:
+            log.warning("not acknowledged yet: %s", error)
+            if self.trouble is None:  # nobody should wait for the end of the set to hear it
+                self._backlog.put(self._sync)
+            return False
+        return True
+
+    def _sync(self) -> None:
+        self._report_ids(self._archive.sync())
+
+    def _report_ids(self, shot_ids: Iterable[int]) -> None:
+        for shot_id in shot_ids:
+            if shot_id not in self._told_ids:
+                self._told_ids.add(shot_id)
+                self._acknowledged(shot_id)
+
+    def were_acknowledged(self, shot_ids: Iterable[int]) -> None:
+        """Tell no more of shots that an earlier recorder has told of."""
+        self._told_ids.update(shot_ids)
+
+    def store(self, record: SetRecord) -> StoredSet:
+        """Make a whole set durable, and tell the ids of its shots."""
+        stored = self._archive.store_set(record)
+        self._report_ids(stored.crc32)
+        self._told_ids.difference_update(stored.crc32)
+        return stored
+
+    def post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
+        """Commit what is built, in order; what is built once is committed until it is stored.
+
+        Parameters
+        ----------
+        stored
+            Index of a set with records, which gets its file afterwards.
+        """
+        built: list[Transaction] = []
+
+        def job() -> None:
+            if not built:
+                built.append(build())
+            self._ledger.commit(built[0])
+            if stored is not None:
+                self.file(stored)
+
+        self._backlog.put(job, n_bytes=n_bytes)
+
+    def file(self, set_index: int) -> None:
+        """Have a whole set of the journal get its file."""
+        if self._compaction is not None:
+            self._compaction.put(set_index)
+
+    def do(self, job: Callable[[], None]) -> None:
+        """Do something that the disk may refuse, when all before it is done."""
+        self._backlog.put(job)
+
+    def say(self, kind: str, payload: Mapping[str, Any]) -> None:
+        """Append an event of the service."""
+        utc_ns = self._moment().utc_ns
+
+        def job() -> None:
+            self._catalogue.add_event(utc_ns=utc_ns, topic="service", kind=kind, payload=payload)
+
+        self._backlog.put(job)
+
+    # While the line is idle -----------------------------------------------------------------------
+
+    def work(self, free_s: float) -> None:
+        """Store what waits, make files, follow the history, and read stored sets if there is time.
+
+        Parameters
+        ----------
+        free_s
+            Time until the next set is due.
+        """
+        self._backlog.work()
+        if self._compaction is not None:
+            self._compaction.work()
+            self._report_finalizing(self._compaction.trouble)
+        if self._history is not None:
+            self._history.follow()
+        if self._idle_check is not None and self.trouble is None:
+            self._idle_check.work(free_s)
+        if self.trouble is None:
+            self._report_corruption()
+        if self._tiling is not None:
+            self._tiling.work(free_s)
+
+    def begin_check(self) -> None:
+        """Look which stored sets are gone, and tell of those and of what is in quarantine."""
+        if self._idle_check is not None:
+            alarm = self._ledger.alarms.get((None, "data_damaged"))
+            stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
+            self._idle_check.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
+        self._report_corruption(at_the_start=True)
+
+    def wait_for_the_disk(self, idle: Idle) -> None:
+        """Let nothing go on before everything is stored, but a stop."""
+        while self.trouble is not None and idle():
+            self._stop.wait(self._look_every_s)
+        if self.trouble is not None and self._disk is not None:
+            self._disk.give_back()
+            self._backlog.work(at_once=True)
+        if self.trouble is not None:
+            log.error("%d jobs are lost that no disk took: %s", len(self._backlog), self.trouble.message)
+
+    def wait_for_the_worker(self, idle: Idle) -> None:
+        """Let no simulated time outrun the files: journal and memory would grow with the test."""
+        while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and idle():
+            self._stop.wait(self._look_every_s / 10.0)
+
+    def wait_for_the_files(self, idle: Idle) -> None:
+        """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
+        if self._compaction is None or self._stop.is_set():
+            return
+        until_s = self._mono_s() + WAIT_FOR_FILES_S
+        while idle() and self._mono_s() < until_s:
+            if not self._compaction.waits:
+                break
+            self._compaction.try_again()
+            self._stop.wait(self._look_every_s)
+
+    def leave(self) -> None:
+        """Let the history know the end."""
+        if self._history is not None:
+            self._history.follow(now=True)
+
+    # Trouble is told ------------------------------------------------------------------------------
+
+    def _refusal(self) -> str:
+        """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
+        return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
+
+    def look_at_the_disk(self) -> None:
+        """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
+        space = None if self._disk is None else self._disk.look()
+        if space is None:
+            return
+        log.warning("%s: level %s", space.told, space.level)
+        self.say(DISK_SPACE, asdict(space))
+        condition = space_condition(
+            space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+        )
+        self._store_alarm(condition)
+
+    def _store_alarm(self, condition: Condition) -> None:
+        """Store an alarm now, or as soon as the catalogue takes it."""
+        job = partial(self._ledger.tell, condition, self._moment())
+        try:
+            job()
+        except PASSING as error:
+            log.warning("the alarm is stored later: %s", error)
+            self._backlog.put(job)
+
+    def look_at_the_web(self) -> None:
+        """Raise the alarm of a web service that is missing, and clear it when it responds."""
+        is_missing = None if self._web is None else self._web.is_missing()
+        if is_missing in (None, self._web_is_missing):
+            return
+        moment = self._moment()
+        with suppress(*PASSING):  # the next look stores it
+            self._ledger.tell(web_condition(moment.due_h, present=is_missing), moment)
+            self._web_is_missing = is_missing
+
+    def _report_trouble(self, trouble: Trouble | None) -> None:
+        """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
+        self._trouble_until_ns = self._moment().utc_ns
+        if trouble is not None:
+            self._told_trouble = trouble.message
+            try:
+                self._ledger.tell(storage_condition(trouble.message, present=True), self._moment())
+            except PASSING as error:
+                log.warning("the alarm is not stored: %s", error)
+        else:  # on record even if the catalogue itself was what took nothing
+            self._store_alarm(storage_condition(self._told_trouble, present=True))
+            self._store_alarm(storage_condition(self._told_trouble, present=False))
+            self._told_compaction = ""  # what still has no file is reported again
+        self._on_trouble()
+
+    def _report_finalizing(self, trouble: str) -> None:
+        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
+        if bool(trouble) == bool(self._told_compaction) or self.trouble is not None:
+            return
+        message = trouble or self._told_compaction
+        self._told_compaction = trouble
+        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
+
+    def _report_corruption(self, *, at_the_start: bool = False) -> None:
+        """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
+        damaged = dict(self._archive.journal_damage.files)
+        for helper in (self._compaction, self._idle_check):
+            damaged |= {} if helper is None else helper.damaged
+        if damaged == self._told_damaged and not at_the_start:
+            return
+        new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
+        self._told_damaged = damaged
+        for file, told in new.items():
+            log.error("%s: %s", file, told)
+            self.say("data_damaged", {"file": file, "told": told})
+        aside = [file for file in self._archive.quarantined() if file not in damaged]
+        condition = damage_condition(aside, damaged)
+        self._backlog.put(partial(self._ledger.tell, condition, self._moment()))

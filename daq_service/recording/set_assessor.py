@@ -1,0 +1,393 @@
+"""Every planned set ends as rows: judged, empty, missed or retired, in one transaction with its alarms."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+
+from analysis.waves.features import ShotFeatures
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
+from daq_service.alarms.delays import DELAY_EVENT, followed
+from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
+from daq_service.alarms.rig_trouble import lost_cause, rig_condition
+from daq_service.alarms.states import (
+    ALARMS_OF_CHANGE,
+    Condition,
+    Moment,
+    expired,
+    proven_by,
+    retired_positions,
+    update,
+)
+from daq_service.archive import SetReader, SetRecord
+from daq_service.assessment.assessor import Assessor, PositionResult
+from daq_service.assessment.confirmation import confirmed, no_room
+from daq_service.assessment.methods import METHODS
+from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.corrosion_drive.watch import DriveWatch
+from daq_service.recording.confirmations import Confirmations
+from daq_service.recording.cost import Cost
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Rig
+from hardware_drivers.nanoseconds import NS_PER_H
+
+log = logging.getLogger(__name__)
+
+
+class SetAssessor:
+    """Judges what was taken and writes it down; holds what later sets are judged by.
+
+    Parameters
+    ----------
+    rig
+        None where sets are judged that were taken long ago; ``rehearsal`` says then whether they are noise.
+    news
+        Called for each ``alarm`` that has changed and each ``gap``, once it is stored.
+
+    Attributes
+    ----------
+    alarms
+        The newest alarm of each position and kind, as stored.
+    proven
+        A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
+    confirmations
+        Sets beside the plan.
+    drive
+        The corrosion drive; None where the test has neither supply nor climate probe.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        archive: SetReader,
+        catalogue: RecorderCatalogue,
+        rig: Rig | None,
+        cost: Cost,
+        remote_drive: RemoteDrive | None = None,
+        *,
+        rehearsal: bool = False,
+        news: Callable[..., None] = lambda event, **values: None,
+    ) -> None:
+        self._settings = settings
+        self._catalogue = catalogue
+        self._cost = cost
+        self._tried: Transaction | None = None
+        self._news = news
+        rehearsal = rehearsal if rig is None else rig.dry_run
+        counts = catalogue.counts()
+        self.proven = counts["sets"] > counts["partial_sets"]
+        self.confirmations = Confirmations(settings, catalogue)
+        self._archive, self._rehearsal = archive, rehearsal
+        self._assessors = {position: self._restored(position) for position in settings.positions}
+        self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
+        self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
+        for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
+            self.take_stored(event)
+        self.drive = None
+        if rig is not None and (rig.supply or rig.climate or remote_drive):
+            self.drive = DriveWatch(
+                settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
+            )
+
+    def adopt(self) -> None:
+        """Take over the alarm that another process raises while no recorder stores sets."""
+        rows = self._catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
+        self.alarms |= {(row.position, row.kind): row for row in rows}
+
+    def passed(self, row: SetRow) -> Sequence[Condition]:
+        """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
+        position_result = self._assessor(row.position).nothing_taken(
+            DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
+            row.n_missed - row.n_restrikes,
+        )
+        return position_result.conditions
+
+    def retired(self) -> dict[str, str]:
+        """Transducers that strike no more, and why."""
+        return retired_positions(self.alarms.values())
+
+    def reinstated(self, position: str) -> None:
+        """Forget what retired a transducer: a person says that it may strike again."""
+        self._assessor(position).reinstate()
+
+    def renewed(self, position: str) -> None:
+        """Judge by what is stored from the next set on: a person has begun another baseline."""
+        self._assessors.pop(position, None)
+
+    def _restored(self, position: str) -> Assessor:
+        method = METHODS[self._settings.positions[position].method]
+        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
+
+    def _assessor(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            self._assessors[position] = self._restored(position)
+        return self._assessors[position]
+
+    def n_planned(self, position: str) -> int:
+        """Count the records wanted of a position in a set."""
+        method = METHODS[self._settings.positions[position].method]
+        return method.records_planned(self._settings.schedule)
+
+    def judged(
+        self,
+        due: DueSet,
+        record: SetRecord,
+        file: str,
+        features: Mapping[int, ShotFeatures],
+        *,
+        sha256: str | None = None,
+    ) -> Transaction:
+        """Assess every position, once: rows, alarms and events of one transaction, to be committed.
+
+        A set beside the plan is judged at its own position, and changes nothing that others are judged by.
+
+        Parameters
+        ----------
+        file, sha256
+            Where the record lies, and the SHA-256 of the file if it is made.
+        """
+        self.adopt()
+        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+        causes = {position.position: position.cause for position in record.positions}
+        retired = self.retired()
+        transaction = Transaction()
+        suspicions: dict[str, str] = {}
+        for position in self._places(due):
+            if position not in causes:
+                cause = retired.get(position, "retired")
+                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
+                continue
+            measurements = [item for item in record.records if item.key.position == position]
+            assessor = self._assessor(position)
+            with self._cost.of("judge_s"):
+                assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
+                position_result = assess_set(due, record, features)
+            row = replace(
+                self.without_records(due, position, retired=False, cause=causes[position]),
+                state="done" if not causes[position] else "partial" if measurements else "missed",
+                n_taken=len(measurements),
+                n_valid=position_result.n_valid,
+                n_missed=n_missed(record, position),
+                n_restrikes=n_restrikes(record, position),
+                started_utc_ns=record.started_utc_ns,
+                ended_utc_ns=record.ended_utc_ns,
+                file=file if measurements else None,
+                file_sha256=sha256 if measurements else None,
+            )
+            transaction.add_position(row, measurements, position_result, moment, record.outcomes)
+            suspicions[position] = position_result.suspicion
+            for condition in position_result.conditions:
+                further = self.confirmations.proof(condition, due.set_index)
+                self._carry_alarm(
+                    replace(condition, proof=dict(condition.proof) | further), moment, transaction
+                )
+        rig_now = self._rig_condition(due, record)
+        if due.position is not None:
+            self._prove(due.position, transaction, moment)
+            if rig_now.present:  # that one position is well again says nothing of the other instruments
+                self._carry_alarm(rig_now, moment, transaction)
+            return transaction
+        self._carry_alarm(rig_now, moment, transaction)
+        self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
+        self.proven = self.proven or not (record.trouble or any(causes.values()))
+        standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
+        for position, because in suspicions.items():
+            if because:
+                self.confirmations.ask(because, due, position, standing, moment, transaction)
+        return self._with_environment(due, moment, transaction)
+
+    def _places(self, due: DueSet) -> list[str]:
+        """Positions that a set is of."""
+        return list(self._settings.positions) if due.position is None else [due.position]
+
+    def _prove(self, position: str, transaction: Transaction, moment: Moment) -> None:
+        """Let the alarm of a change that stands at a position say what its confirmation set says."""
+        assessment = transaction.assessments[0] if transaction.assessments else None
+        told = asdict(confirmed(transaction.sets[0], assessment))
+        for kind in ALARMS_OF_CHANGE:
+            row = self.alarms.get((position, kind))
+            if row is not None and row.state != "normal":
+                transaction.add_alarm(proven_by(row, {"confirmation": told}, moment), moment)
+
+    def order_confirmation(
+        self, planned: DueSet, position: str, author: str, note: str, moment: Moment
+    ) -> Transaction:
+        """Ask for a confirmation set after a planned one by a person's order; to be committed.
+
+        Raises
+        ------
+        ValueError
+            It cannot be taken, and why.
+        """
+        if unjudged := self._assessor(position).not_assessed_reason:
+            raise ValueError(f"{position} has nothing to compare a set with: {unjudged}")
+        too_late = no_room(self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns)
+        if too_late:
+            raise ValueError(f"{too_late}: that one says the same")
+        transaction = Transaction()
+        if self.confirmations.add(note, planned, position, moment, transaction, author) is None:
+            raise ValueError(
+                "there are too many confirmation sets since the last planned set; wait for the next one"
+            )
+        return transaction
+
+    def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
+        """Tell whether the instruments of any method had trouble; each method has its own."""
+        unanswered = ""
+        for method in METHODS:
+            names = self._settings.names_of(method)
+            if not any(item.key.position in names for item in record.records):
+                unanswered = unanswered or lost_cause(
+                    [item for item in record.missed if item.key.position in names]
+                )
+        return rig_condition(due, record.trouble, unanswered, proven=self.proven)
+
+    def tell(self, condition: Condition, moment: Moment) -> None:
+        """Store what becomes of an alarm that belongs to no set."""
+        transaction = Transaction()
+        self._carry_alarm(condition, moment, transaction)
+        if transaction.events:
+            self.commit(transaction)
+
+    def expire_shelves(self, moment: Moment) -> None:
+        """Tell again of alarms whose shelves have expired, on the test's clock or in real time."""
+        shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
+        changes = [change for row in shelved if (change := expired(row, moment, time.time_ns()))]
+        if changes:
+            transaction = Transaction()
+            for change in changes:
+                transaction.add_alarm(change, moment)
+            self.commit(transaction)
+
+    def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+        key = (condition.position, condition.kind)
+        row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
+        to_follow, now_since_ns = followed(row, condition, since_ns, moment, self._settings.alarms.kinds)
+        if now_since_ns != since_ns:
+            delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
+            transaction.tell(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
+        change = None if to_follow is None else update(row, to_follow, moment)
+        if change is not None:
+            if self.drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
+                # At once: through a hole the solution reaches what it should not, and the current with it.
+                self.drive.trip(condition.message, moment.due_h)
+            transaction.add_alarm(change, moment)
+            log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
+
+    def take_stored(self, event: EventRow) -> None:
+        """Take in since when an alarm is held back and what is asked for, once that is stored."""
+        self.confirmations.take_event(event)
+        if event.kind == DELAY_EVENT:
+            told = event.payload
+            self._delayed_since_ns[(event.position, told["alarm_kind"])] = told["since_utc_ns"]
+
+    def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
+        """Add what supply and climate probe said since the last set."""
+        if self.drive is not None:
+            self.drive.add_row(transaction, due, moment)
+        return transaction
+
+    def commit(self, transaction: Transaction) -> None:
+        """Store it; what later sets build on is taken over only after that.
+
+        Called again after an error, it first looks whether the commit took place all the same.
+        """
+        indices = {row.set_index for row in transaction.sets}
+        if transaction is self._tried and indices <= self._catalogue.committed_sets(indices):
+            self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
+            self._report_changes(transaction)
+            return
+        self._tried = transaction if indices else self._tried
+        with self._cost.of("commit_s"):
+            committed = self._catalogue.commit_set(transaction)
+        for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
+            self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
+        self._report_changes(transaction)
+
+    def _report_changes(self, transaction: Transaction) -> None:
+        """Tell whoever started the test what is not as it should be, and what is again."""
+        for event in transaction.events:
+            self.take_stored(event)
+        self.confirmations.take_rows(transaction)
+        lacking: dict[tuple[int, str, str], list[str]] = {}
+        for row in transaction.sets:
+            if row.state in ("missed", "partial") and row.purpose is None:
+                lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
+        for (set_index, state, cause), positions in lacking.items():
+            self._news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
+        for at, row_at in transaction.alarm_of_event.items():
+            alarm = transaction.alarms[row_at]
+            since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
+            self._news(
+                "alarm",
+                change=transaction.events[at].kind,
+                hour=alarm.raised_h + since_h,
+                severity=alarm.severity,
+                message=alarm.message,
+            )
+
+    def nothing_taken(
+        self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
+    ) -> Transaction:
+        """Not one record: rows with the causes, but no file; to be committed.
+
+        Parameters
+        ----------
+        causes
+            Why there is none, by position.
+        tried
+            What was tried, which tells of the instruments; None: nothing was.
+        """
+        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
+        transaction = Transaction()
+        retired = self.retired() if tried is None else tried.retired
+        for position in self._places(due):
+            gone = position in retired
+            missed = (
+                []
+                if tried is None
+                else [key for key in (item.key for item in tried.missed) if key.position == position]
+            )
+            restrikes = sum(key.attempt > 0 for key in missed)
+            position_result = PositionResult()
+            if tried is not None and not gone and due.position is None:
+                position_result = self._assessor(position).nothing_taken(due, len(missed) - restrikes)
+            row = replace(
+                self.without_records(
+                    due, position, retired=gone, cause=retired.get(position) or causes[position]
+                ),
+                n_missed=len(missed),
+                n_restrikes=restrikes,
+            )
+            transaction.add_position(row, [], position_result, moment)
+            for condition in position_result.conditions:
+                self._carry_alarm(condition, moment, transaction)
+        if tried is not None and (tried.trouble is not None or tried.missed):
+            unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
+            told = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
+            self._carry_alarm(told, moment, transaction)
+        log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+        if due.position is not None:
+            self._prove(due.position, transaction, moment)
+            return transaction
+        return self._with_environment(due, moment, transaction)
+
+    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        """Make the row of a position that gave not one record, or was not asked for any."""
+        return SetRow(
+            set_index=due.set_index,
+            position=position,
+            method=self._settings.positions[position].method,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            state="retired" if retired else "missed",
+            cause=cause or None,
+            n_planned=0 if retired else self.n_planned(position),
+            purpose=None if due.position is None else "confirmation",
+        )

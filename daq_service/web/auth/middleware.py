@@ -1,0 +1,288 @@
+"""At the door: who a request is from, and what is refused before any route sees it.
+
+A token comes in the header `Authorization: Bearer`, or from the page in a cookie that no script can read.
+The right one is always let in, however many wrong ones came before: 256 random bits cannot be guessed. What
+wrong ones cost is bounded instead, in answers and in lines of the audit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import ipaddress
+import re
+import ssl
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from daq_service.commands.audit import Allowance, Audit
+from daq_service.errors import UsageError
+from daq_service.settings.web import LOOPBACK, WebSettings
+from daq_service.web.answers.problem import Problem, problem_response, request_id
+from daq_service.web.auth.roles import CLAIMED, Person
+from daq_service.web.auth.tokens import KnownTokens, read_tokens, tokens_file
+
+ANYBODYS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
+PAGE_FILES = "/static/"
+OF_TEST = re.compile(r"/tests/[^/]+(?=/)")
+"""Where several tests are served, in front of each one's own paths."""
+MOST_WRONG, WRONG_EVERY_S = 10, 6.0
+"""Wrong tokens of one address that are answered 401: so many at once, then one each six seconds."""
+MOST_ADDRESSES = 1000
+LONGEST_TOKEN = 200
+LONGEST_WHY = 400
+"""Of a line of the audit: a foreign host's name is as long as its sender likes."""
+
+
+class AccessPolicy:
+    """Who may come in; used on the event loop alone.
+
+    Parameters
+    ----------
+    no_person
+        For a reader inside this process: whoever may read the folder's files may read the test.
+    """
+
+    def __init__(self, web: WebSettings, data_folder: Path, *, no_person: bool = False) -> None:
+        self._web, self._no_person = web, no_person
+        self.tokens_path = tokens_file(web, data_folder)
+        self.tokens = KnownTokens(self.tokens_path)
+        self.audit = Audit(data_folder)
+        # Ports do not part cookies: each service needs a name of its own.
+        self._cookie = f"solimon-{hashlib.sha256(str(data_folder.absolute()).encode()).hexdigest()[:8]}"
+        self._wrong: dict[str, Allowance] = {}
+
+    @property
+    def is_open(self) -> bool:
+        """True where nobody is asked for a token: on loopback, before the first one was made."""
+        return self._no_person or (not self._web.is_reachable and not self.tokens.asked_for)
+
+    def cookie_name(self, scope: Scope) -> str:
+        """Name of the page's cookie; over TLS a browser binds `__Host-` to this very host."""
+        return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
+
+    def person_of(self, scope: Scope) -> Person | None:
+        """Tell who asks; None: nobody has said so.
+
+        Raises
+        ------
+        Problem
+            401, 429: the token is wrong. 403: it did not travel encrypted.
+        """
+        headers = Headers(scope=scope)
+        self._refuse_plain(scope, headers)
+        if self.is_open:
+            return Person(name="", role=CLAIMED)
+        text = self._token_text(scope, headers)
+        return None if text is None else self.enter(text, address_of(scope))
+
+    def enter(self, text: str, address: str) -> Person:
+        """Return whose token this is.
+
+        Raises
+        ------
+        Problem
+            401, 429: nobody's, or one that does not open any more.
+        """
+        token = self.tokens.find(text)
+        if token is not None and token.state == "valid":
+            return Person(name=token.name, role=token.role)
+        if not self._allowance(address).take():
+            raise Problem(
+                429,
+                "too-many-wrong-tokens",
+                "Too many wrong tokens",
+                f"More than {MOST_WRONG} wrong tokens came from {address}; a right one is always let in.",
+                "Correct the token, or make a new one with `solimon token create`.",
+            )
+        why = "the token is unknown" if token is None else f"the token of {token.name} is {token.state}"
+        raise Problem(
+            401,
+            "wrong-token",
+            "The token does not open",
+            f"{why[0].upper()}{why[1:]}.",
+            "Ask an administrator for a new one (`solimon token create`).",
+        )
+
+    def stands(self, person: Person) -> bool:
+        """Tell whether who came in may stay: asked again while a stream is open."""
+        if person.role == CLAIMED:
+            return self.is_open
+        return self.tokens.still_opens(person.name, person.role)
+
+    async def audit_rejection(self, scope: Scope, why: str, *, what: str = "enter") -> None:
+        """Audit a refusal by its cause and the request's name alone: what was asked for may hold a token."""
+        person: Person | None = scope.get("state", {}).get("person")
+        await asyncio.to_thread(
+            self.audit.tell,
+            who=person.name if person else "",
+            role=person.role if person else "",
+            source=address_of(scope),
+            what=what,
+            arguments={"request_id": request_id(scope)},
+            result="refused",
+            why=why[:LONGEST_WHY],
+        )
+
+    def _token_text(self, scope: Scope, headers: Headers) -> str | None:
+        scheme, _, text = headers.get("authorization", "").partition(" ")
+        if scheme:
+            return text.strip() if scheme.lower() == "bearer" else ""
+        try:
+            morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie_name(scope))
+        except CookieError:
+            return None
+        return None if morsel is None else morsel.value
+
+    def _refuse_plain(self, scope: Scope, headers: Headers) -> None:
+        if not self._web.is_reachable or is_encrypted(scope):
+            return
+        host = urlsplit(f"//{headers.get('host', '')}").hostname
+        if host not in LOOPBACK or not _is_loopback(address_of(scope)):
+            raise Problem(
+                403,
+                "not-encrypted",
+                "The request came without encryption",
+                f"A request to {host} from {address_of(scope)} was neither TLS nor handed on by web.proxy "
+                f"({self._web.proxy or 'none'}) with X-Forwarded-Proto: https.",
+                "Use https, and let the proxy say that it did.",
+            )
+
+    def _allowance(self, address: str) -> Allowance:
+        found = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
+        self._wrong[address] = found
+        if len(self._wrong) > MOST_ADDRESSES:
+            del self._wrong[next(iter(self._wrong))]
+        return found
+
+
+class AuthenticationMiddleware:
+    """Lets nobody without a token past the page and its login, where tokens are asked for."""
+
+    def __init__(self, app: ASGIApp, doors: AccessPolicy, *, has_tests: bool = False) -> None:
+        self._app, self._doors, self._has_tests = app, doors, has_tests
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on who may come in."""
+        if scope["type"] not in {"http", "websocket"}:
+            await self._app(scope, receive, send)
+            return
+        person, problem = None, None
+        try:
+            person = self._doors.person_of(scope)
+        except Problem as refused:
+            problem = refused
+        path = OF_TEST.sub("", scope["path"], count=1) if self._has_tests else scope["path"]
+        if path in ANYBODYS or path.startswith(PAGE_FILES):
+            # The page, signs of life and the way in are anybody's; but not over an open line.
+            problem = problem if problem is not None and problem.status == 403 else None
+        elif person is None and problem is None:
+            problem = no_token()
+        scope.setdefault("state", {})["person"] = person
+        if problem is None:
+            await self._passed(scope, receive, send)
+            return
+        if problem.status == 429:
+            self._doors.audit.leave_out()
+        elif problem.name != "no-token" or _writes(scope):
+            await self._doors.audit_rejection(scope, problem.detail)
+        await problem_response(scope, problem)(scope, receive, send)
+
+    async def _passed(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on; a write that turns out to be invalid is audited, as other refusals are."""
+        statuses: list[int] = []
+
+        async def heard(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                statuses.append(message["status"])
+            await send(message)
+
+        await self._app(scope, receive, heard if _writes(scope) else send)
+        if 422 in statuses:
+            what = getattr(scope.get("route"), "operation_id", None) or "enter"
+            await self._doors.audit_rejection(scope, "the request was not valid", what=what)
+
+
+def _writes(scope: Scope) -> bool:
+    return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
+
+
+def no_token() -> Problem:
+    """Ask for a token."""
+    return Problem(
+        401,
+        "no-token",
+        "A token is needed",
+        "This service asks for an access token.",
+        "Log in on the page, or send `Authorization: Bearer TOKEN`; `solimon token create` makes one.",
+    )
+
+
+def person_at(connection: HTTPConnection) -> Person:
+    """Return who asks, of a request that the doorkeeper has let in.
+
+    Raises
+    ------
+    Problem
+        401: nobody has said so.
+    """
+    person: Any = getattr(connection.state, "person", None)
+    if person is None:
+        raise no_token()
+    assert isinstance(person, Person)
+    return person
+
+
+def is_encrypted(scope: Scope) -> bool:
+    """Tell that the request came over TLS, by the server or a trusted proxy."""
+    return scope["scheme"] in {"https", "wss"}
+
+
+def address_of(scope: Scope) -> str:
+    """Network address that a request came from; of a trusted proxy's, the one that it names."""
+    client = scope.get("client")
+    return str(client[0]) if client else "unknown"
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False
+
+
+def refuse_open_doors(web: WebSettings, data_folder: Path) -> None:
+    """Check before the start that a service that others reach has its locks.
+
+    Raises
+    ------
+    UsageError
+        A token, or a certificate that can be used, is missing.
+    """
+    path = tokens_file(web, data_folder)
+    if web.is_reachable and not any(token.state == "valid" for token in read_tokens(path)):
+        raise UsageError(
+            f"other computers shall reach the service (web.host is {web.host!r}, web.host_names "
+            f"{list(web.host_names)}), and {path} holds no valid access token; make one with "
+            "`solimon token create NAME --role admin`, or keep to 127.0.0.1"
+        )
+    if web.has_tls:
+        try:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
+                web.tls_certificate, web.tls_key, password=_no_password
+            )
+        except (OSError, ValueError) as error:
+            raise UsageError(
+                f"web.tls_certificate {web.tls_certificate} and web.tls_key {web.tls_key} cannot be used: "
+                f"{error}; give readable PEM files, the key being this certificate's and without a password"
+            ) from error
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password")

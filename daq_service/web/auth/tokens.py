@@ -1,0 +1,221 @@
+"""Access tokens: told once when they are made, kept as hashes in a file that a running service follows.
+
+A token is 256 random bits, so its SHA-256 needs neither salt nor a slow hash. What was revoked stays in the
+file: an empty list means that nobody ever asked for tokens, and never that all are gone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import logging
+import os
+import re
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from daq_service.clock import format_utc, parse_utc
+from daq_service.errors import StorageError, StorageUnavailableError, UsageError
+from daq_service.processes.data_folder import one_at_a_time
+from daq_service.settings.web import WebSettings
+from daq_service.shared_file import read_shared, write_durably
+from daq_service.web.auth.roles import Role
+from hardware_drivers.nanoseconds import NS_PER_S
+
+log = logging.getLogger(__name__)
+
+FILE_NAME = "tokens.json"
+LOOK_EVERY_S = 1.0
+"""How long a revoked token may still open."""
+OWNER_ONLY = 0o600
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}")
+_S_PER_DAY = 86_400
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Token:
+    """What is kept of a token; times are RFC 3339."""
+
+    name: str
+    role: Role
+    sha256: str
+    created_utc: str
+    expires_utc: str | None = None
+    revoked_utc: str | None = None
+
+    @property
+    def state(self) -> Literal["valid", "expired", "revoked"]:
+        """How it stands at this moment, by the computer's clock."""
+        if self.revoked_utc is not None:
+            return "revoked"
+        over = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
+        return "expired" if over else "valid"
+
+
+_FILE = TypeAdapter(tuple[Token, ...])
+
+
+def tokens_file(web: WebSettings, data_folder: Path) -> Path:
+    """Return the file of a service's tokens."""
+    return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
+
+
+def read_tokens(path: Path) -> tuple[Token, ...]:
+    """Read all tokens, revoked ones too; none where there is no file.
+
+    Raises
+    ------
+    StorageError
+        The file cannot be read, or is none of ours.
+    """
+    try:
+        return _FILE.validate_json(read_shared(path))
+    except FileNotFoundError:
+        return ()
+    except OSError as error:
+        raise StorageUnavailableError(f"{path} cannot be read: {error.strerror}; mend its rights") from error
+    except ValidationError as error:
+        raise StorageError(
+            f"{path} is no file of access tokens; bring it back from a copy, or remove it and make new ones "
+            "with `solimon token create`"
+        ) from error
+
+
+def create_token(path: Path, name: str, role: Role, *, days: float | None = None) -> tuple[Token, str]:
+    """Make a token and store its hash; the text that opens is returned here and kept nowhere.
+
+    Parameters
+    ----------
+    days
+        Time until it expires; None: never.
+
+    Raises
+    ------
+    UsageError
+        The name is none, or has a valid token.
+    StorageError
+        The file cannot be read or written.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"{name[:60]!r} is no name of a token; use up to 40 letters, digits and . _ @ -")
+    text, now_ns = secrets.token_urlsafe(32), time.time_ns()
+    expires = None if days is None else format_utc(now_ns + round(days * _S_PER_DAY) * NS_PER_S, 0)
+    token = Token(
+        name=name, role=role, sha256=_sha256(text), created_utc=format_utc(now_ns, 0), expires_utc=expires
+    )
+    with _changing(path) as tokens:
+        if any(old.name == name and old.state == "valid" for old in tokens):
+            raise UsageError(f"{name} has a token; revoke it first with `solimon token revoke {name}`")
+        tokens[:] = [*(old for old in tokens if old.name != name), token]
+    return token, text
+
+
+def revoke_token(path: Path, name: str) -> Token:
+    """Let a token open nothing any more.
+
+    Raises
+    ------
+    UsageError
+        There is none of that name that could be revoked.
+    StorageError
+        The file cannot be read or written.
+    """
+    if not read_tokens(path):
+        raise UsageError(f"there is no token {name[:60]!r} to revoke; {path} holds none")
+    with _changing(path) as tokens:
+        place = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
+        if place is None:
+            names = ", ".join(old.name for old in tokens if not old.revoked_utc) or "none"
+            raise UsageError(f"there is no token {name[:60]!r} to revoke; there are: {names}")
+        tokens[place] = replace(tokens[place], revoked_utc=format_utc(time.time_ns(), 0))
+        return tokens[place]
+
+
+@contextmanager
+def _changing(path: Path) -> Iterator[list[Token]]:
+    """Give the tokens to be changed in place, and write them whole."""
+    try:
+        with one_at_a_time(path):
+            tokens = list(read_tokens(path))
+            yield tokens
+            content = _FILE.dump_json(tuple(tokens), indent=1)
+            write_durably(path, content, temporary=path.with_suffix(".new"), mode=OWNER_ONLY)
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{path} cannot be written: {error.strerror}; nothing has changed; mend its folder"
+        ) from error
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class KnownTokens:
+    """The file as a running service knows it, looked at again every second; used on the event loop alone.
+
+    Where the file is gone or cannot be read after tokens were asked for, nobody comes in until it is back.
+    """
+
+    def __init__(self, path: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._mono_s = path, mono_s
+        self._next_s = -1.0
+        self._mark: tuple[int, ...] | None = None
+        self._tokens: tuple[Token, ...] = ()
+        self._asked_for = False
+
+    @property
+    def asked_for(self) -> bool:
+        """True once there was a token, whatever has become of it."""
+        self._look()
+        return self._asked_for
+
+    def find(self, text: str) -> Token | None:
+        """Return the token with this text, valid or not, in a time that does not depend on it."""
+        self._look()
+        sha256, found = _sha256(text), None
+        for token in self._tokens:
+            if hmac.compare_digest(token.sha256, sha256):
+                found = token
+        return found
+
+    def still_opens(self, name: str, role: str) -> bool:
+        """Tell whether this person would be let in now."""
+        self._look()
+        return any(
+            token.name == name and token.role == role and token.state == "valid" for token in self._tokens
+        )
+
+    def _look(self) -> None:
+        if self._mono_s() < self._next_s:
+            return
+        self._next_s = self._mono_s() + LOOK_EVERY_S
+        mark = _mark_of(self._path)
+        if mark == self._mark:
+            return
+        try:
+            self._tokens = read_tokens(self._path)
+        except StorageError as error:
+            log.error("nobody is let in: %s", error)
+            self._tokens, self._asked_for = (), True
+        was_asked_for = self._asked_for
+        # The first token left the lock: a file of tokens that is lost opens nothing after a restart.
+        self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
+        if self._asked_for and not was_asked_for and not self._tokens:
+            log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
+        self._mark = mark
+
+
+def _mark_of(path: Path) -> tuple[int, ...]:
+    """Return what changes with the file."""
+    try:
+        found = os.stat(path)  # noqa: PTH116 - the seam is os
+    except OSError as error:
+        return (error.errno or 0,)
+    return found.st_mtime_ns, found.st_size, found.st_ino

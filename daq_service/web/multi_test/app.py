@@ -1,0 +1,103 @@
+"""The application of several tests: their list, and each test's own interface below its name."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
+
+from fastapi import FastAPI
+from starlette.types import Receive, Scope, Send
+
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.problem import Problem, problem_response
+from daq_service.web.answers.version import API_VERSION
+from daq_service.web.app import Service, application_of_test, guard, versioned
+from daq_service.web.auth.middleware import PAGE_FILES
+from daq_service.web.context import Context
+from daq_service.web.multi_test import routes
+from daq_service.web.multi_test.listing import Listing
+from daq_service.web.multi_test.open_tests import ServedTests
+from daq_service.web.request_times import AnswerTimes
+from daq_service.web.routes import audit, session, tokens
+
+RESOURCES = (routes, session, tokens, audit)
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    tests: ServedTests = app.state.tests
+    looking_after = asyncio.create_task(tests.look_after())
+    try:
+        yield
+    finally:
+        looking_after.cancel()
+        with suppress(asyncio.CancelledError):
+            await looking_after
+        await tests.close()
+
+
+class BelowNames:
+    """Hands a request to the one application of all tests, with the test that it is about."""
+
+    def __init__(self, tests: ServedTests, times: AnswerTimes) -> None:
+        self._tests = tests
+        self._application = application_of_test()
+        self._application.state.answer_times = times
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Open the test for as long as the answer lasts; its page is there without one, too."""
+        async with AsyncExitStack() as used:
+            try:
+                test = self._tests.named(scope["path_params"]["test"])
+            except Problem as problem:
+                await problem_response(scope, problem)(scope, receive, send)
+                return
+            path = scope["path"].removeprefix(f"/tests/{test.name}")
+            try:
+                if not path.startswith(PAGE_FILES) and (path != "/" or scope["state"]["person"]):
+                    scope["state"]["test"] = await used.enter_async_context(self._tests.opened(test))
+            except Problem as problem:
+                if path != "/":
+                    await problem_response(scope, problem)(scope, receive, send)
+                    return
+            await self._application(scope, receive, send)
+
+
+def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
+    """Build the service of several tests.
+
+    Parameters
+    ----------
+    paths
+        Configurations or data folders; those that cannot be shown are listed and hinder nobody.
+    settings
+        Of the service: its table ``web``.
+    folder
+        Of the service: tokens, audit of logins, log.
+
+    Raises
+    ------
+    UsageError
+        Two paths mean the same folder.
+    """
+    app = Service(
+        title="solimon, several tests",
+        version=API_VERSION,
+        description=(
+            "The list of the tests that this service has, and its doors: one login for all. Each test "
+            "answers below `/tests/{test}` with an interface of its own, which "
+            "`/tests/{test}/api/v1/openapi.json` describes."
+        ),
+        lifespan=_lifespan,
+    )
+    context = Context(settings, folder)
+    guard(app, context, has_tests=True)
+    app.state.tests = ServedTests(paths, context.doors)
+    app.state.listing = Listing(app.state.tests)
+    app.include_router(routes.probes)
+    app.include_router(versioned(RESOURCES))
+    app.include_router(routes.pages)
+    app.mount("/tests/{test}", BelowNames(app.state.tests, app.state.answer_times))
+    return app

@@ -1,0 +1,150 @@
+"""How each test stands: read without opening it for long, and no more often than it can have changed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from daq_service.acquisition.schedule import due_hours
+from daq_service.alarms.states import SEVERITIES
+from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, status_of
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
+from daq_service.catalogue.reader import Catalogue, LastWord
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.store import open_catalogue
+from daq_service.processes.data_folder import LOCK_FILE
+from daq_service.processes.freshness import Freshness
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.json_answer import rfc3339
+from daq_service.web.multi_test.location import AbsentError, folder_of, look, reading
+from daq_service.web.multi_test.open_tests import ServedTest, ServedTests
+from daq_service.web.routes.info import RIG_LABELS
+
+CHANGING_S = 2.0
+ENDED_S = 60.0
+"""So old may an entry be of a test that is recorded, and of one whose files have not changed since."""
+MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE, EXPERIMENT_FILE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    entry: dict[str, Any]
+    folder: Path
+    mark: tuple[int, ...]
+    read_s: float
+
+    def is_good(self, now_s: float) -> bool:
+        if now_s - self.read_s < CHANGING_S:
+            return True
+        standing = self.entry["standing"]
+        ended = standing is not None and standing["recorder"] != "running"
+        return ended and now_s - self.read_s < ENDED_S and _mark_of(self.folder) == self.mark
+
+
+class Listing:
+    """Entries of the list, shared by all who ask."""
+
+    def __init__(self, tests: ServedTests) -> None:
+        self._tests = tests
+        self._lock = threading.Lock()
+        self._seen: dict[str, _Seen] = {}
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Read those that may have changed; blocks on files."""
+        with self._lock:
+            for test in self._tests.all.values():
+                seen, now_s = self._seen.get(test.name), time.monotonic()
+                if seen is None or not seen.is_good(now_s):
+                    folder = folder_of(test.path)
+                    # Before it is read: what changes meanwhile is seen the next time.
+                    mark = _mark_of(folder)
+                    self._seen[test.name] = _Seen(self._entry(test), folder, mark, now_s)
+            now_s = time.monotonic()
+            return [seen.entry | {"looked_age_s": now_s - seen.read_s} for seen in self._seen.values()]
+
+    def shown(self) -> int:
+        """Count the tests that could be shown when they were last looked at."""
+        return sum(seen.entry["state"] == "shown" for seen in list(self._seen.values()))
+
+    def _entry(self, test: ServedTest) -> dict[str, Any]:
+        page = f"/tests/{test.name}/"
+        entry = {
+            "test": test.name,
+            "name": test.title,
+            "source": str(test.path),
+            "page": page,
+            "api": f"{page}api/v1",
+            "state": "shown",
+            "detail": None,
+            "remedy": None,
+            "standing": None,
+        }
+        try:
+            settings, folder = look(test.path, self._tests.doors)
+            test.title = entry["name"] = settings.name
+            with reading(), open_catalogue(folder) as catalogue:
+                return entry | {"standing": _standing(settings, folder, catalogue)}
+        except AbsentError as error:
+            return entry | {"state": error.state, "detail": f"{error}", "remedy": error.remedy}
+
+
+def _mark_of(folder: Path) -> tuple[int, ...]:
+    """Give what changes with the files by which a test stands."""
+    marks: list[int] = []
+    for name in MARKS:
+        try:
+            found = (folder / name).stat()
+        except OSError:
+            marks += (0, 0)
+        else:
+            marks += (found.st_mtime_ns, found.st_size)
+    return tuple(marks)
+
+
+def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
+    fresh = Freshness(folder, catalogue, settings.clock.kind)
+    words = catalogue.positions_state()
+    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    positions = [
+        _position(settings, fresh, name, words.get(name) or LastWord(position=name, method=place.method))
+        for name, place in settings.positions.items()
+    ]
+    active = catalogue.rows(AlarmRow, active=True)
+    measured = [row for word in words.values() if (row := word.last_feature or word.last_thickness)]
+    newest = max(measured, key=lambda row: row.set_index, default=None)
+    return {
+        "rig": settings.rig.kind,
+        "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
+        "clock": fresh.clock,
+        "epoch_utc": rfc3339(fresh.epoch_utc_ns),
+        "now_h": fresh.now_h,
+        "end_h": hours[-1] if hours else 0.0,
+        "recorder": fresh.recorder.word,
+        "wall_age_s": fresh.wall_age_s,
+        "held": catalogue.held(),
+        "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),
+        "stale": any(place["stale"] for place in positions),
+        "active_alarms": len(active),
+        "highest_severity": max((row.severity for row in active), key=SEVERITIES.index, default=None),
+        "last_set_index": None if newest is None else newest.set_index,
+        "last_set_h": None if newest is None else newest.due_h,
+        "age_h": None if newest is None else fresh.age_h(newest.due_h),
+        "positions": positions,
+    }
+
+
+def _position(settings: Settings, fresh: Freshness, name: str, word: LastWord) -> dict[str, Any]:
+    place, data_h = settings.positions[name], data_hour(word)
+    age_h = None if data_h is None else fresh.age_h(data_h)
+    return {
+        "position": name,
+        "label": place.label,
+        "method": place.method,
+        "state": status_of(fresh.standing_word(word)),
+        "stale": is_stale(settings.schedule, fresh, age_h),
+        "data_h": data_h,
+        "age_h": age_h,
+    }

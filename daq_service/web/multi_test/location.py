@@ -1,0 +1,154 @@
+"""Where a test lies, and why one cannot be shown: read anew whenever somebody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ValidationError
+
+from daq_service.catalogue.errors import (
+    CatalogueDamagedError,
+    NoDataYetError,
+    SchemaVersionError,
+)
+from daq_service.catalogue.experiment_file import read_experiment
+from daq_service.catalogue.rows import ExperimentRow
+from daq_service.catalogue.store import open_catalogue
+from daq_service.errors import SolimonError, UsageError
+from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import Settings
+from daq_service.web.auth.middleware import AccessPolicy
+from daq_service.web.auth.tokens import read_tokens, tokens_file
+
+Absence = Literal[
+    "no_data", "missing", "foreign", "misconfigured", "damaged", "other_version", "locked", "unreadable"
+]
+
+REMEDIES: Mapping[Absence, str] = {
+    "no_data": "Start `solimon run` or `solimon record` with it; it appears by itself.",
+    "missing": "Mount its disk, or correct the path; it appears by itself when it is there.",
+    "foreign": "Name the data folder of a test, or its configuration.",
+    "misconfigured": "Correct the file (`solimon check-config`); it is read again by itself.",
+    "damaged": "`solimon verify` says what is damaged, `solimon rebuild` makes the catalogue again.",
+    "other_version": "Start the recorder of this version, which migrates it, or serve it by its own version.",
+    "locked": "Its owner asks for tokens: name a file of tokens for this service (`web.tokens_file`).",
+    "unreadable": "Mend the disk or its rights; it appears by itself when it can be read.",
+}
+
+
+class AbsentError(SolimonError):
+    """A test cannot be shown now."""
+
+    def __init__(self, state: Absence, told: str) -> None:
+        super().__init__(told)
+        self.state = state
+
+    @property
+    def remedy(self) -> str:
+        """What helps."""
+        return REMEDIES[self.state]
+
+
+def is_configuration(path: Path) -> bool:
+    """Tell a configuration from a data folder, also where nothing is there."""
+    return path.is_file() or (not path.is_dir() and path.suffix in {".toml", ".json"})
+
+
+def folder_of(path: Path) -> Path:
+    """Give the data folder; of a configuration that is refused, the file itself stands for it."""
+    if not is_configuration(path):
+        return path.absolute()
+    try:
+        return settings_and_folder(path, None)[1]
+    except UsageError:
+        return path.absolute()
+
+
+def title_of(path: Path) -> str:
+    """Give the experiment's name; the folder's or file's own while that cannot be read."""
+    try:
+        with reading():
+            return _settings_and_folder(path)[0].name
+    except AbsentError:
+        return path.absolute().stem if is_configuration(path) else path.absolute().name
+
+
+def look(path: Path, doors: AccessPolicy) -> tuple[Settings, Path]:
+    """Read what a test was begun with, and where it lies; nothing is made.
+
+    Parameters
+    ----------
+    doors
+        Of the service: one without tokens does not show a test whose own service asks for some.
+
+    Raises
+    ------
+    AbsentError
+        It cannot be shown now.
+    """
+    with reading():
+        settings, folder = _settings_and_folder(path)
+        if not folder.is_dir():
+            raise AbsentError("missing", f"There is no data folder {folder}.")
+        own = tokens_file(settings.web, folder)
+        if doors.is_open and read_tokens(own):
+            raise AbsentError("locked", f"{own} holds access tokens, and this service asks for none.")
+        return settings, folder
+
+
+def _settings_and_folder(path: Path) -> tuple[Settings, Path]:
+    if is_configuration(path):
+        try:
+            return settings_and_folder(path, None)
+        except UsageError as error:
+            state: Absence = "misconfigured" if path.is_file() else "missing"
+            raise AbsentError(state, f"{error}") from error
+    folder = path.absolute()
+    if not folder.is_dir():
+        raise AbsentError("missing", f"There is no data folder {folder}.")
+    try:
+        refuse_other_folders(folder)
+    except UsageError as error:
+        raise AbsentError("foreign", f"{error}") from error
+    try:
+        return stored_settings(_experiment(folder).configuration), folder
+    except ValidationError as error:
+        raise AbsentError("other_version", f"This version knows no such test: {error}") from error
+
+
+def _experiment(folder: Path) -> ExperimentRow:
+    try:
+        with open_catalogue(folder) as catalogue:
+            return catalogue.experiment_row()
+    except NoDataYetError:
+        kept = read_experiment(folder)  # where the catalogue is lost
+        if kept is None:
+            raise
+        return kept
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """Name what keeps a test from being read.
+
+    Raises
+    ------
+    AbsentError
+        For every error of the folder.
+    """
+    try:
+        yield
+    except AbsentError:
+        raise
+    except NoDataYetError as error:
+        raise AbsentError("no_data", f"{error}") from error
+    except SchemaVersionError as error:
+        raise AbsentError("other_version", f"{error}") from error
+    except CatalogueDamagedError as error:
+        raise AbsentError("damaged", f"{error}") from error
+    except (SolimonError, OSError) as error:
+        raise AbsentError("unreadable", f"{error}") from error

@@ -1,0 +1,110 @@
+"""What a service of several tests answers itself: the list, signs of life, metrics of all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from fastapi import APIRouter, Request
+from prometheus_client.metrics_core import GaugeMetricFamily, Metric
+from starlette.responses import Response
+
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import problems
+from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.assets import answer_asset, get_asset
+from daq_service.web.context import Context
+from daq_service.web.multi_test.answers import ListedTests, ServiceLiveness
+from daq_service.web.multi_test.listing import Listing
+from daq_service.web.multi_test.location import AbsentError, look
+from daq_service.web.multi_test.open_tests import ServedTests
+from daq_service.web.routes.metrics import OPENMETRICS, exposition, of_clients, of_service, of_test
+
+router = APIRouter(tags=["tests"])
+probes = APIRouter(tags=["health"])
+pages = APIRouter(include_in_schema=False)
+pages.add_api_route("/static/{name:path}", get_asset)
+
+
+def _listing(request: Request) -> Listing:
+    listing = request.app.state.listing
+    assert isinstance(listing, Listing)
+    return listing
+
+
+@router.get("/tests", operation_id="list_tests", response_model=ListedTests)
+def list_tests(request: Request) -> JsonAnswer:
+    """List the tests of this service with their states; one that cannot be shown says what helps."""
+    return JsonAnswer({"items": _listing(request).entries()})
+
+
+@probes.get("/healthz", operation_id="get_liveness", response_model=ServiceLiveness)
+async def get_liveness(request: Request) -> JsonAnswer:
+    """Say that the process of the service answers; no folder is looked at."""
+    return JsonAnswer(_liveness(request))
+
+
+@probes.get("/readyz", operation_id="get_readiness", response_model=ServiceLiveness, responses=problems(503))
+def get_readiness(request: Request) -> JsonAnswer:
+    """Say whether any test can be shown."""
+    entries = _listing(request).entries()
+    if not any(entry["state"] == "shown" for entry in entries):
+        raise Problem(
+            503,
+            "no-data-yet",
+            "No data yet",
+            f"None of {len(entries)} tests can be shown.",
+            "/api/v1/tests says why of each, and what helps.",
+        )
+    return JsonAnswer(_liveness(request))
+
+
+def _liveness(request: Request) -> dict[str, object]:
+    shown = _listing(request).shown()
+    return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
+
+
+@probes.get("/metrics", operation_id="get_metrics", response_class=Response, responses=OPENMETRICS)
+def get_metrics(request: Request) -> Response:
+    """Tell of every test what its own metrics tell, with a label `test`; and which cannot be shown."""
+    tests: ServedTests = request.app.state.tests
+    merged = {metric.name: metric for metric in of_service()}
+    shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])
+    for name, test in list(tests.all.items()):
+        found = list(_of_one(tests, name))
+        shown.add_metric([name], float(bool(found)))
+        if test.context is not None:
+            found += of_clients(test.context)
+        for metric in found:
+            its = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
+            its.samples += [
+                sample._replace(labels={"test": name, **sample.labels}) for sample in metric.samples
+            ]
+    return exposition([*merged.values(), shown], request)
+
+
+def _of_one(tests: ServedTests, name: str) -> Iterator[Metric]:
+    """Metrics of a test, which is not opened for it: who scrapes must not keep every test open."""
+    try:
+        settings, folder = look(tests.all[name].path, tests.doors)
+    except AbsentError:
+        return
+    context = Context(settings, folder, doors=tests.doors)
+    try:
+        yield from of_test(context)
+    finally:
+        context.catalogue_access.close()
+
+
+@pages.get("/")
+async def get_list_page(request: Request) -> Response:
+    """Serve the page of the list."""
+    return answer_asset("tests.html", request)
+
+
+@pages.get("/api/v1/{rest:path}")
+async def get_elsewhere(rest: str) -> Response:
+    """Send who takes this for the service of a single test to the list."""
+    raise not_found(
+        f"There is no /api/v1/{rest[:80]} of all tests together.",
+        "This service has several tests: /api/v1/tests lists them, each answers below /tests/NAME/api/v1.",
+    )

@@ -1,0 +1,51 @@
+"""`/api/v1/assessments` and `/api/v1/baselines`: distance, limits, outliers, and against what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import APIRouter
+
+from daq_service.catalogue.rows import AssessmentRow
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import AssessmentPage, BaselineList, problems
+from daq_service.web.context import Context, ContextOf, Freshness
+from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, PositionFilter, add_listing
+from daq_service.web.tables.baselines import published_baselines
+from daq_service.web.tables.quality import assessed_qualities
+
+router = APIRouter(tags=["verdicts"])
+
+
+def with_quality(context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]) -> list[dict[str, Any]]:
+    """Verdicts as they leave the service, with the quality of the feature or thickness that each judges."""
+    methods = {name: place.method for name, place in context.settings.positions.items()}
+    qualities = assessed_qualities(context.catalogue(), methods, rows)
+    return [fresh.row(row, quality=quality) for row, quality in zip(rows, qualities, strict=True)]
+
+
+add_listing(
+    router,
+    "verdicts",
+    AssessmentRow,
+    AssessmentPage,
+    "List verdicts with the quality of the feature that was judged.",
+    POSITION | SET_INDEX | HOURS | PURPOSE,
+    with_quality,
+)
+
+
+@router.get(
+    "/baselines",
+    operation_id="list_baselines",
+    response_model=BaselineList,
+    responses=problems(404, 422, 503),
+)
+def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
+    """List each position's baselines, the newest last: life, statistics, limits, provenance."""
+    if position is not None:
+        context.known(position)
+    fresh = context.freshness()
+    told = published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
+    return JsonAnswer({"as_of": fresh.as_of(), "items": [fresh.row(row, **beside) for row, beside in told]})

@@ -1,0 +1,104 @@
+"""Follows the files `live/<position>.bin` and keeps the newest picture of each position.
+
+Only the newest: whoever is slow or hidden misses pictures, never events.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import struct
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daq_service.web.answers.problem import Problem
+from daq_service.web.streams.followed import Followed
+
+log = logging.getLogger(__name__)
+POLL_INTERVAL_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Bytes of a live file; `version` grows with every replacement seen."""
+
+    version: int
+    content: bytes
+
+
+class LiveFigures(Followed):
+    """The newest picture of each position, and a wake-up for those who wait for the next."""
+
+    def __init__(
+        self, folder: Path, positions: Collection[str], *, poll_interval_s: float = POLL_INTERVAL_S
+    ) -> None:
+        super().__init__("live-pictures")
+        self._paths = {position: folder / f"{position}.bin" for position in positions}
+        self._poll_interval_s = poll_interval_s
+        self._pictures: dict[str, Picture] = {}
+
+    def newer(self, seen: Mapping[str, int]) -> dict[str, Picture]:
+        """Pictures of the positions in ``seen`` that are newer than the version seen there."""
+        return {
+            position: picture
+            for position, version in seen.items()
+            if (picture := self._pictures.get(position)) is not None and picture.version > version
+        }
+
+    def _take(self, position: str, picture: Picture) -> None:
+        self._pictures[position] = picture
+        self._wake()
+
+    def _follow(self) -> None:
+        """Body of the thread: look at the files' marks, read what changed."""
+        seen: dict[str, tuple[int, int, int]] = {}
+        version = 0
+        while not self._stop.is_set():
+            for position, path in self._paths.items():
+                try:
+                    state = path.stat()
+                    mark = (state.st_mtime_ns, state.st_ino, state.st_size)
+                    if seen.get(position) == mark:
+                        continue
+                    content = path.read_bytes()
+                except FileNotFoundError:
+                    continue
+                except OSError as error:
+                    # Windows refuses to open a file at the moment it is replaced: next time.
+                    log.debug("cannot read %s: %s", path, error)
+                    continue
+                seen[position] = mark
+                version += 1
+                self._pass_on(self._take, position, Picture(version, content))
+            self._stop.wait(self._poll_interval_s)
+
+
+def decode_header(content: bytes) -> dict[str, Any]:
+    """JSON header of a picture.
+
+    Raises
+    ------
+    Problem
+        503: the bytes are not a picture.
+    """
+    try:
+        (length,) = struct.unpack_from("<I", content)
+        header = json.loads(content[4 : 4 + length])
+        if not isinstance(header, dict) or len(content) < 4 + length:
+            raise ValueError("the header is cut off")
+    except (struct.error, ValueError) as error:
+        raise unreadable_picture(f"it is damaged, {error}") from None
+    return header
+
+
+def unreadable_picture(why: str) -> Problem:
+    """Return the answer where a picture is there and cannot be shown."""
+    return Problem(
+        503,
+        "storage-unavailable",
+        "The live picture cannot be read",
+        f"The newest live picture cannot be read: {why}.",
+        "The recorder replaces it with its next record; stored records are not concerned.",
+    )

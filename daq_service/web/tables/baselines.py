@@ -1,0 +1,65 @@
+"""Baselines as others get them: each with its hours, and the first of a position also while it collects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+from analysis.waves.features import FEATURE_NAMES
+from daq_service.acquisition.schedule import due_hours
+from daq_service.assessment.baseline_lifecycle import first_one
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, FeatureRow
+from daq_service.settings.tree import Settings
+from hardware_drivers.methods import SOLITARY_WAVE
+
+
+def published_baselines(
+    catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
+) -> list[tuple[BaselineRow, dict[str, Any]]]:
+    """Tell each position's baselines (None: of all), the newest last, and what stands beside each row."""
+    rows = catalogue.rows(BaselineRow, position=position)
+    begun = {row.position for row in rows}
+    rows += [
+        first_one(name, settings, epoch_utc_ns)
+        for name, place in settings.positions.items()
+        if place.method == SOLITARY_WAVE and name not in begun and position in (None, name)
+    ]
+    hours = due_hours(settings.schedule.phases)
+    # Baselines of many positions have the same sets: their environment is read once.
+    temperatures_c = cache(partial(_temperatures_c, catalogue))
+    return [
+        (
+            replace(row, n_sets=_usable_sets(catalogue, row)) if row.state == "collecting" else row,
+            {
+                "from_h": hours[row.first_set_index],
+                "to_h": hours[min(row.last_set_index, len(hours) - 1)],
+                "temperature_c": temperatures_c(row.first_set_index, row.last_set_index),
+            },
+        )
+        for row in rows
+    ]
+
+
+def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
+    first, last = row.first_set_index, row.last_set_index
+    told = catalogue.columns(
+        FeatureRow,
+        ["quality", *FEATURE_NAMES],
+        position=row.position,
+        scope="set",
+        first_set=first,
+        last_set=last,
+    )
+    return sum(
+        quality != "bad" and None not in values
+        for quality, *values in zip(*(told[name] for name in ("quality", *FEATURE_NAMES)), strict=True)
+    )
+
+
+def _temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
+    """Least and greatest temperature around some sets; None: none was measured."""
+    around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
+    found = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
+    return [min(found), max(found)] if found else None

@@ -1,0 +1,213 @@
+"""Run a double beside the caller, and tell it what to do: the side of tests and the demonstration.
+
+The control channel carries one JSON object a line; `control_server` answers it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles.chassis.crosstalk import Crosstalk
+from simulator.doubles.chassis.description import Description, default_description, to_json
+from simulator.doubles.errors import DoublesProcessError
+from simulator.doubles.transports.library import DEFAULT_CACHE_FOLDER, build_library, client_environment
+
+DEFAULT_TIMEOUT_S = 30.0
+READY_TIMEOUT_S = 60.0
+EXIT_TIMEOUT_S = 10.0
+
+
+class DoublesControl:
+    """Client of the control channel; a context manager. Not for several threads at once."""
+
+    def __init__(self, address: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        host, _, port = address.rpartition(":")
+        self.address = address
+        self._timeout_s = timeout_s
+        self._socket = socket.create_connection((host, int(port)), timeout=timeout_s)
+        self._file = self._socket.makefile("rb")
+
+    def __enter__(self) -> DoublesControl:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection; the double goes on."""
+        self._file.close()
+        self._socket.close()
+
+    def _ask(self, command: str, **arguments: Any) -> Any:
+        # A question that waits is answered only then.
+        self._socket.settimeout(self._timeout_s + arguments.get("timeout_s", 0.0))
+        try:
+            self._socket.sendall(json.dumps({"command": command} | arguments).encode() + b"\n")
+            line = self._file.readline()
+        except OSError as error:
+            raise DoublesProcessError(f"the double at {self.address} does not answer: {error}") from error
+        if not line:
+            raise DoublesProcessError(f"the double at {self.address} is gone")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise ValueError(answer["error"])
+        return answer["ok"]
+
+    def announce(self, key: ShotKey, hour_h: float) -> None:
+        """Say which shot the next strike at the key's position is, and its hour."""
+        self._ask("announce", key=asdict(key), hour_h=hour_h)
+
+    def disturb(self, position: str, crosstalk: Crosstalk) -> None:
+        """Let the coil at a position couple this into its sensor from now on."""
+        self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
+
+    def inject(self, function: str, kind: str, **how: float | None) -> None:
+        """Order a fault (`faults.Faults.inject`); kind is error, hang, lie or death."""
+        self._ask("inject", function=function, kind=kind, **how)
+
+    def clear_faults(self) -> None:
+        """Forget every fault not yet carried out."""
+        self._ask("clear_faults")
+
+    def release_hangs(self) -> None:
+        """Let hanging calls go on."""
+        self._ask("release_hangs")
+
+    def wait_until_hanging(self, timeout_s: float) -> bool:
+        """Wait until a call hangs; False at the deadline."""
+        return bool(self._ask("wait_until_hanging", timeout_s=timeout_s))
+
+    def wait_until_no_tasks(self, timeout_s: float) -> bool:
+        """Wait until every task is gone, as after a client's death; False at the deadline."""
+        return bool(self._ask("wait_until_no_tasks", timeout_s=timeout_s))
+
+    def wait_until_quiet(self, timeout_s: float) -> bool:
+        """Wait until no striker is in flight and no wave rings on; False at the deadline."""
+        return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
+
+    def record(self) -> dict[str, Any]:
+        """Fetch calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
+        found: dict[str, Any] = self._ask("record")
+        return found
+
+    def clear_record(self) -> None:
+        """Forget calls, line events and leaks."""
+        self._ask("clear_record")
+
+    def unplug(self, serial_number: int) -> None:
+        """Take a board out."""
+        self._ask("unplug", serial_number=serial_number)
+
+    def plug(self, serial_number: int, name: str = "") -> None:
+        """Put a board back, under another name if one is given."""
+        self._ask("plug", serial_number=serial_number, name=name)
+
+    def occupy(self, resource: str, owner: str) -> None:
+        """Let another process hold ``<board>/ai``, ``<board>/ctr0`` ... (board by name or serial number)."""
+        self._ask("occupy", resource=resource, owner=owner)
+
+    def vacate(self, owner: str) -> None:
+        """Let that other process give everything back."""
+        self._ask("vacate", owner=owner)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunningDoubles:
+    """A double that is up.
+
+    Attributes
+    ----------
+    wire, grpc
+        Addresses, ``host:port``: for the C libraries and for gRPC (empty without that front).
+    control
+        The control channel, connected; `DoublesControl.address` is where another process connects.
+    """
+
+    wire: str
+    grpc: str
+    control: DoublesControl
+    process: subprocess.Popen[bytes]
+
+    def client_environment(
+        self,
+        *libraries: str,
+        cache: Path = DEFAULT_CACHE_FOLDER,
+        environment: Mapping[str, str] | None = None,
+    ) -> dict[str, str]:
+        """Environment of a child process that shall meet this double; builds the libraries if needed."""
+        folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
+        return client_environment(self.wire, *folders, environment=environment)
+
+    def kill(self) -> None:
+        """End the process at once, as a crash of the driver would."""
+        self.process.kill()
+        self.process.wait(EXIT_TIMEOUT_S)
+
+
+@contextmanager
+def running_doubles(
+    description: Description | None = None, *, warm_up: bool = True, timeout_s: float = READY_TIMEOUT_S
+) -> Iterator[RunningDoubles]:
+    """Start ``python -m simulator.doubles``, wait until it is ready, end it afterwards.
+
+    Raises
+    ------
+    DoublesProcessError
+        It ended or said nothing within `timeout_s`.
+    """
+    with tempfile.TemporaryDirectory(prefix="solimon-doubles-") as folder:
+        file = Path(folder) / "description.json"
+        file.write_text(to_json(description or default_description()), encoding="utf-8")
+        command = [sys.executable, "-m", "simulator.doubles", "--description", str(file)]
+        if not warm_up:
+            command.append("--no-warm-up")
+        # The double itself is no client: a library path meant for clients does not concern it.
+        environment = {name: text for name, text in os.environ.items() if name != "SOLIMON_DOUBLES"}
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            ready = _ready(process, timeout_s)
+            with DoublesControl(ready["control"]) as control:
+                yield RunningDoubles(
+                    wire=ready["wire"], grpc=ready.get("grpc", ""), control=control, process=process
+                )
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(EXIT_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
+
+
+def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
+    """Ready line of a process that was just started."""
+    assert process.stdout is not None
+    # A pipe has no deadline of its own on every platform; ending the process ends the wait.
+    watch = threading.Timer(timeout_s, process.kill)
+    watch.start()
+    try:
+        line = process.stdout.readline()
+    finally:
+        watch.cancel()
+    if not line:
+        raise DoublesProcessError(
+            f"the double ended with code {process.wait()} or was not ready within {timeout_s} s; "
+            "its standard error says why"
+        )
+    ready: dict[str, str] = json.loads(line)
+    return ready

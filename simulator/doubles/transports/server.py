@@ -1,0 +1,93 @@
+"""The wire's server side: one thread a connection, one client a process."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import socketserver
+import struct
+import threading
+
+from simulator.doubles.device_model import Brain
+from simulator.doubles.vendor_api import wire
+from simulator.doubles.vendor_api.statuses import SOFTWARE_FAULT, Status
+
+log = logging.getLogger(__name__)
+
+
+class LoopbackServer(socketserver.ThreadingTCPServer):
+    """Listens on the loopback interface for callers of a brain, one thread a connection."""
+
+    daemon_threads = True
+
+    def __init__(self, brain: Brain, connection: type[socketserver.BaseRequestHandler]) -> None:
+        super().__init__(("127.0.0.1", 0), connection)
+        self.brain = brain
+
+    @property
+    def address(self) -> str:
+        """``host:port``."""
+        host, port = self.server_address[:2]
+        return f"{host!s}:{port}"
+
+
+class WireServer(LoopbackServer):
+    """Listens for C libraries on the loopback interface."""
+
+    def __init__(self, brain: Brain) -> None:
+        super().__init__(brain, _Connection)
+        self._clients: dict[int, str] = {}
+        self._lock = threading.Lock()
+
+    def join(self, number: int, process: int) -> tuple[int, str]:
+        """Return number and name of a client; 0 makes a new one, an unknown number too."""
+        with self._lock:
+            if number not in self._clients:
+                number = max(self._clients, default=0) + 1
+                self._clients[number] = self.brain.open_client("library", f"pid {process}")
+            return number, self._clients[number]
+
+    def leave(self, number: int) -> None:
+        """Take leave of a process."""
+        with self._lock:
+            client = self._clients.pop(number, None)
+        if client is not None:
+            self.brain.close_client(client)
+
+
+class _Connection(socketserver.BaseRequestHandler):
+    server: WireServer
+
+    def handle(self) -> None:
+        """Serve one connection until its peer closes."""
+        connection: socket.socket = self.request
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            hello = wire.receive_frame(connection)
+            if hello is None or len(hello) != wire.HELLO.size:
+                return
+            process, asked = wire.HELLO.unpack(hello)
+            number, client = self.server.join(asked, process)
+            connection.sendall(struct.pack("<Q", number))
+            try:
+                self._serve(connection, client)
+            finally:
+                if asked != number:
+                    # The process's first connection lives as long as the process.
+                    self.server.leave(number)
+        except (ConnectionError, wire.WireError) as error:
+            log.warning("connection of %s ends: %s", self.client_address, error)
+
+    def _serve(self, connection: socket.socket, client: str) -> None:
+        while (body := wire.receive_frame(connection)) is not None:
+            entry, arguments = wire.decode_call(body)
+            status, text, values = 0, "", {}
+            try:
+                values = self.server.brain.call(client, entry.name, arguments)
+            except Status as answer:
+                status, text, values = answer.code, answer.message, answer.values
+            except Exception as error:
+                # A fault of the double must not look like a board's: it names itself.
+                log.exception("%s failed inside the double", entry.name)
+                status, text = SOFTWARE_FAULT, f"{entry.name} failed inside the double: {error!r}"
+            wire.send_frame(connection, wire.encode_answer(entry, arguments, status, text, values))

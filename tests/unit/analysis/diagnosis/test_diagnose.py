@@ -1,0 +1,281 @@
+"""A cause is named by its direction and its course in time, and not where nothing is sure."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from analysis.diagnosis.diagnose import (
+    STATED,
+    UNDETERMINED,
+    WALL_STATED,
+    Diagnosis,
+    diagnosis_of,
+    remembering,
+)
+from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
+from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
+from analysis.diagnosis.slopes import (
+    COMPONENTS,
+    DAMPING,
+    DEPTHS,
+    DROP_HEIGHT,
+    GAIN,
+    STIFFNESS,
+    TILT,
+    WALL_B,
+)
+from analysis.diagnosis.state import (
+    MOST_AVERAGED,
+    SETTLING,
+    DiagnosisState,
+    covariance_of_averages,
+    weights,
+    with_confirmation,
+    with_set,
+)
+from analysis.errors import InvalidInputError
+from analysis.waves.record_reduction import FloatArray
+
+BASELINE, AFTER, EVERY = 200, 120, 5
+SOURCES = np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
+SD = np.array([0.01] * 9 + [0.05] * 9 + [0.06, 0.003])
+FOOT = 0.12 * np.array(STIFFNESS[-1])
+ZERO = np.zeros(len(COMPONENTS))
+
+
+def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
+    """Independent sets of a chain whose every contact sits a little differently in each."""
+    random = np.random.default_rng(seed)
+    shape = (sets, len(SD))
+    noise = 1e-3 * random.standard_normal((sets, len(COMPONENTS)))
+    return np.asarray((SD * random.standard_normal(shape)) @ SOURCES + noise)
+
+
+def growing(target: FloatArray) -> FloatArray:
+    """Change of each set: nothing in the baseline, then evenly more."""
+    return np.linspace(0.0, 1.0, AFTER + 1)[1:, None] * target
+
+
+def wall(depth: float) -> FloatArray:
+    """Change by a wall that thins evenly to this depth."""
+    depths = np.linspace(0.0, depth, AFTER + 1)[1:]
+    curve = np.vstack([ZERO, WALL_B])
+    return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
+
+
+def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None) -> Iterator[Diagnosis]:
+    """Verdicts of every fifth set after the baseline; a confirmation is struck after their 30th."""
+    logs = healthy(seed)
+    logs[BASELINE:] += change
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = DiagnosisState()
+    for index in range(BASELINE, BASELINE + AFTER):
+        memory = with_set(memory, design.mean, logs[index], index)
+        if confirmation is not None and index == BASELINE + 30:
+            memory = with_confirmation(memory, design.mean, logs[0] + confirmation)
+        assessment = diagnosis_of(memory, design)
+        memory = remembering(memory, assessment)
+        if index % EVERY == 0:
+            yield assessment
+
+
+def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
+    found = list(judged(wall(0.3)))
+    assert found[-1].cause == WALL
+    assert found[-1].probability > 0.99
+    assert found[-1].abrupt < 0.01
+    assert found[-1].changes["tof_pp_s"] == pytest.approx(0.033, abs=0.005)
+    assert found[-1].changes["isw_amplitude_v"] == pytest.approx(0.0, abs=0.03)
+    assert {one.cause for one in found} <= {OK, UNDETERMINED, WALL}
+
+
+def test_a_healthy_transducer_is_never_told_to_have_a_sick_wall() -> None:
+    causes = [one.cause for seed in range(5) for one in judged(np.zeros((AFTER, 7)), seed)]
+    assert WALL not in causes
+    assert causes.count(OK) > 0.98 * len(causes)
+
+
+@pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
+def test_what_moves_the_incident_wave_is_the_sensor_s(target: FloatArray) -> None:
+    found = list(judged(growing(target)))
+    assert found[-1].cause == SENSOR
+    assert WALL not in {one.cause for one in found}
+
+
+def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
+    alone = list(judged(np.tile(FOOT, (AFTER, 1))))
+    assert alone[4].cause == UNDETERMINED
+    assert alone[4].abrupt > 0.9
+    confirmed = list(judged(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
+    # It is remembered of all sets to come, though nothing is struck beside the plan any more.
+    assert {one.cause for one in confirmed[6:]} == {COUPLING}
+    assert confirmed[-1].probability > 0.9
+    assert confirmed[-1].confirmed
+    assert WALL not in {one.cause for one in alone + confirmed}
+
+
+@pytest.mark.parametrize("depth", [2, 4])
+def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth: int) -> None:
+    found = judged(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
+    assert WALL not in {one.cause for one in found}
+
+
+def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
+    logs = healthy(3)
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
+    assert diagnosis_of(memory, design).cause == OK
+    told = diagnosis_of(memory, design, suspicious=True)
+    assert (told.cause, told.probability) == (UNDETERMINED, told.probabilities[OK])
+    assert sum(told.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_what_is_remembered_survives_a_restart_as_json() -> None:
+    logs = healthy(4) + 0.002
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = DiagnosisState()
+    for index in range(BASELINE, BASELINE + 20):
+        stored = json.loads(json.dumps(asdict(memory)))
+        stored["changes"] = tuple(tuple(one) for one in stored["changes"])
+        told = DiagnosisState(**(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")}))
+        assert told == memory
+        memory = with_set(told, design.mean, logs[index], index)
+    assert memory.n == 20
+
+
+def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_told() -> None:
+    values: dict[str, float | None] = dict.fromkeys(COMPONENTS, 2.0)
+    assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
+    assert logs_of(values | {"isw_fwhm_s": None}) is None
+    assert logs_of(values | {"psw_area_v_s": -1.0}) is None
+    with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
+        diagnosis_parameters(healthy(1)[:200, :5])
+
+
+def test_few_sets_make_a_design_too_and_tell_less_of_a_small_change() -> None:
+    few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
+    assert isinstance(few, DiagnosisParameters)
+    change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
+    told = [diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)]
+    assert told[0].probabilities[OK] > 0.9 > 0.5 > told[1].probabilities[OK]
+
+
+def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began() -> None:
+    history = healthy(6)[:BASELINE]
+    change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
+
+    def ok(first_index: int, index: int) -> float:
+        design = diagnosis_parameters(history, first_index)
+        return diagnosis_of(DiagnosisState(n=60, index=index, changes=change), design).probabilities[OK]
+
+    assert ok(0, BASELINE + 59) == ok(700, 700 + BASELINE + 59)
+    # Long after the baseline the same change is more often a wander's.
+    assert ok(0, BASELINE + 1500) > ok(0, BASELINE + 59) + 0.05
+
+
+def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> None:
+    logs = healthy(2)
+    logs[BASELINE:] += wall(0.4)
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = DiagnosisState()
+    for index in range(BASELINE, BASELINE + AFTER):
+        memory = with_set(memory, design.mean, logs[index], index)
+        assessment = diagnosis_of(memory, design)
+        if assessment.probabilities[WALL] >= WALL_STATED:
+            break
+        memory = remembering(memory, assessment)
+    assert assessment.cause == UNDETERMINED
+    memory = remembering(memory, assessment)
+    following = with_set(memory, design.mean, logs[index + 1], index + 1)
+    assert diagnosis_of(following, design).cause == WALL
+    confirmation_change = with_confirmation(memory, design.mean, logs[index + 1])
+    assert diagnosis_of(confirmation_change, design).cause == WALL
+    healthy_again = remembering(memory, diagnosis_of(DiagnosisState(), design))
+    assert not healthy_again.likely
+
+
+def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
+    design = diagnosis_parameters(healthy(2)[:BASELINE])
+    course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
+    last = BASELINE + AFTER - 1
+    looked = [
+        DiagnosisState(n=AFTER, index=last, changes=tuple(map(tuple, (part * course).tolist())), likely=True)
+        for part in np.linspace(0.04, 0.06, 200)
+    ]
+    between = [one for one in looked if STATED < diagnosis_of(one, design).probabilities[WALL] < WALL_STATED]
+    assert between
+    assert {diagnosis_of(one, design).cause for one in between} == {UNDETERMINED}
+    assert {diagnosis_of(replace(one, wall=True), design).cause for one in between} == {WALL}
+    assert not any(remembering(one, diagnosis_of(one, design)).likely for one in between)
+
+
+def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
+    logs = healthy(2)
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = DiagnosisState(wall=True)
+    for index in range(BASELINE, BASELINE + 60):
+        sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
+        memory = with_set(memory, design.mean, sick, index)
+    told = diagnosis_of(memory, design)
+    assert told.probabilities[SENSOR] > 0.9
+    assert told.cause == UNDETERMINED
+    assert remembering(memory, told).wall
+    assert not remembering(memory, diagnosis_of(DiagnosisState(), design)).wall
+
+
+def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
+    onset = np.arange(AFTER)[:, None] >= 60
+    thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
+    causes = [one.cause for one in judged(thinner, confirmation=FOOT)]
+    assert causes[8] == COUPLING
+    assert causes[-1] == WALL
+    back = [one.cause for one in judged(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
+    assert (back[8], back[-1]) == (COUPLING, OK)
+
+
+def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
+    logs, mean = healthy(5), np.zeros(len(COMPONENTS))
+    memory = DiagnosisState(moved=(1.0,) * len(COMPONENTS))
+    for index in range(SETTLING + 5):
+        memory = with_set(memory, mean, logs[index], index)
+    assert memory.moved == pytest.approx(logs[:SETTLING].mean(axis=0))
+    assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
+
+
+def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
+    logs = healthy(7)
+    logs[BASELINE:] += wall(0.4)
+    design = diagnosis_parameters(logs[:BASELINE])
+    memory = DiagnosisState()
+    for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
+        memory = with_set(memory, design.mean, logs[index], index)
+        assessment = diagnosis_of(memory, design)
+        memory = remembering(memory, assessment)
+    assert (memory.gap, memory.gap_ago) == (105, 4)
+    assert assessment.cause == WALL
+    # Had the plan been without a gap, it would have come at once.
+    assert diagnosis_of(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
+
+
+def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept() -> None:
+    mean, memory = ZERO, DiagnosisState()
+    for index in (10, 15, 16, 18):
+        memory = with_set(memory, mean, ZERO, index)
+    assert (memory.gap, memory.gap_ago) == (4, 3)
+    for index in range(19, 19 + MOST_AVERAGED):
+        memory = with_set(memory, mean, ZERO, index)
+    assert (memory.gap, memory.gap_ago) == (0, 0)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
+def test_averages_scatter_as_sets_with_memory_make_them(phi: float) -> None:
+    n, confirmation_ago = 40, 3
+    sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    found = covariance_of_averages(n, phi, confirmation_ago)
+    assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
+    # The set beside the plan is no copy of the planned one that it follows.
+    confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
+    assert found[3] == pytest.approx([*(weights(n) @ confirmation_change), 1.0])

@@ -1,0 +1,28 @@
+"""What the configuration says of judging a transducer."""
+
+import pytest
+
+from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.rules import rules_of
+from daq_service.settings.tree import Settings
+
+HOURLY = {"phases": [{"until_h": 350.0, "interval_h": 1.0}]}
+
+
+def rules(**alarms):
+    settings = Settings(schedule=HOURLY, alarms=alarms)
+    return rules_of(settings, baseline=planned("B", settings, None), position="B")
+
+
+def test_a_budget_of_all_is_shared_by_the_transducers_and_not_by_the_ultrasonic_one():
+    alone, shared = rules(false_alarms_per_sensor_year=0.1), rules(false_alarms_per_year=0.3)
+    assert shared.false_alarms_per_sensor_year == pytest.approx(0.1)  # B, C and D
+    assert shared.run_length == pytest.approx(alone.run_length)
+    assert alone.run_length == pytest.approx(24.0 * 365.25 / 0.1)
+
+
+def test_what_was_hashed_before_there_was_a_budget_of_all_is_hashed_still():
+    assert "false_alarms_per_year" not in Settings().measured()["alarms"]
+    assert (
+        Settings(alarms={"false_alarms_per_year": 1.0}).measured()["alarms"]["false_alarms_per_year"] == 1.0
+    )

@@ -1,0 +1,249 @@
+"""The recorder's verdicts name a cause, remember what it rests on, and raise the alarm that fits it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.diagnosis.diagnose import UNDETERMINED
+from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
+from analysis.statistics.rules import AlarmRule, HoleRule
+from daq_service.alarms.evidence import evidence
+from daq_service.assessment import solitary_wave_step
+from daq_service.assessment.diagnosis import (
+    Origin,
+    averages_of,
+    cause_after,
+    cause_confirmed,
+    experiment_text,
+    kept_origin,
+    next_origin,
+    origin_of,
+    restored_diagnosis_state,
+    said,
+)
+from daq_service.assessment.signal_change import wall_conditions
+from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, step
+from daq_service.catalogue.rows import AssessmentRow
+
+LAST, SETS = 59, 100
+RULES = Rules(
+    baseline_name="B-baseline-1",
+    first_baseline_set=0,
+    last_baseline_set=LAST,
+    minimum_sets=15,
+    minimum_valid_shots=3,
+    shots_per_set=4,
+    limit="f_predictive",
+    false_alarm_rate=0.0027,
+    run_length=43_830.0,
+    false_alarms_per_sensor_year=0.2,
+    decides_by="k_of_n",
+    alarm=AlarmRule(k=3, n=5),
+    hole=HoleRule(shots=3, consecutive_sets=2),
+)
+RANDOM = np.random.default_rng(3)
+SD = np.array([0.01] * 9 + [0.05] * 9 + [0.06, 0.003])
+SCATTER = (SD * RANDOM.standard_normal((SETS, 20))) @ np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
+SCATTER += 1e-3 * RANDOM.standard_normal(SCATTER.shape)
+RAMP = np.clip((np.arange(SETS) - LAST) / (SETS - LAST), 0.0, None)[:, None]
+CHANGES = {
+    OK: np.zeros((SETS, 7)),
+    SENSOR: -0.5 * RAMP * np.array(GAIN),
+    WALL: RAMP * np.array(WALL_B[5]),
+}
+
+
+def sets(change):
+    logs = SCATTER + change
+    return [
+        SetOfShots(
+            set_index=index,
+            due_h=float(index),
+            n_taken=4,
+            n_tried=4,
+            n_valid=4,
+            quality="good",
+            reason="",
+            values=dict(zip(COMPONENTS, np.exp(row).tolist(), strict=True)),
+            flags=((),) * 4,
+        )
+        for index, row in enumerate(logs)
+    ]
+
+
+def run(change, state=None, since=0, until=SETS):
+    state = state or State()
+    for one in sets(change)[since:until]:
+        state, assessment = step(state, one, RULES)
+    return state, assessment
+
+
+def row_of(assessment):
+    return AssessmentRow(
+        set_index=SETS - 1,
+        position="B",
+        due_h=99.0,
+        in_baseline=False,
+        distance_squared=assessment.distance_squared,
+        limit_name="f_predictive",
+        limits={"f_predictive": 30.0},
+        outlier=assessment.outlier,
+        cause=assessment.cause.cause,
+        cause_probability=assessment.cause.probability,
+        cause_told=experiment_text(assessment.cause),
+    )
+
+
+@pytest.mark.parametrize(
+    ("cause", "raised"), [(OK, set()), (SENSOR, {"transducer_change"}), (WALL, {"wall_change"})]
+)
+def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
+    state, assessment = run(CHANGES[cause])
+    assert assessment.cause.cause == cause
+    found = wall_conditions("B", state, RULES, row_of(assessment))
+    assert {one.kind for one in found if one.present} == raised
+    for one in found:
+        if one.present:
+            assert f"{cause.upper()} (" in one.message
+            assert any("What to do:" in sentence for sentence in evidence(one.kind, one.proof))
+
+
+def origins(causes, n=5):
+    """Say after each set whether a change comes from elsewhere; it stands from the fourth one on."""
+    origin, told = Origin(), ""
+    for number, cause in enumerate(causes):
+        origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)
+        told += "e" if origin.elsewhere else "w"
+    return told
+
+
+KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMINED, "o": OK}
+
+
+@pytest.mark.parametrize(
+    ("causes", "told"),
+    [
+        # Before it stands each set says it.
+        ("?S?", "wew"),
+        # An unsure cause changes no alarm's kind, five sets running do.
+        ("?SSS?S??S????S", "weeeeeeeeeeeee"),
+        ("?SSS????SE?????", "weeeeeeeeeeeeew"),
+        ("????SSSS?SSESSS", "wwwwwwwwwwwwwee"),
+        # What was asked twice does at once; a healthy set says nothing of a change that stands.
+        ("?SSSW", "weeew"),
+        ("????C?C??", "wwwweeeee"),
+        ("?SSSoooooo", "weeeeeeeee"),
+    ],
+)
+def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, told):
+    assert origins(causes) == told
+
+
+def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
+    stood = []
+
+    def noted(before, cause, **how):
+        stood.append(how["stood"])
+        return next_origin(before, cause, **how)
+
+    monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
+    state, before = State(), []
+    for one in sets(CHANGES[SENSOR]):
+        before.append(state.alarm.active)
+        state, _ = step(state, one, RULES)
+    assert stood == before[LAST + 1 :]
+    assert {True, False} == set(stood)
+    assert state.origin == Origin(elsewhere=True)
+
+
+def test_a_restart_knows_where_a_change_comes_from():
+    kept = json.loads(json.dumps(kept_origin(Origin(elsewhere=True, otherwise=3))))
+    assert origin_of(kept, UNDETERMINED) == Origin(elsewhere=True, otherwise=3)
+    # An earlier version kept none.
+    assert origin_of({}, SENSOR) == Origin(elsewhere=True)
+    assert origin_of({}, UNDETERMINED) == Origin()
+
+
+def test_what_cannot_be_told_is_an_alarm_of_the_wall():
+    state, assessment = run(CHANGES[SENSOR])
+    state = replace(state, origin=Origin())
+    row = replace(row_of(assessment), cause=UNDETERMINED)
+    assert [one.present for one in wall_conditions("B", state, RULES, row)] == [True, False]
+    # Without a cause, as of a folder of an earlier version, the message is as it was.
+    row = replace(row, cause=None, cause_probability=None, cause_told=None)
+    wall, transducer = wall_conditions("B", state, RULES, row)
+    assert (wall.present, transducer.present) == (True, False)
+    assert wall.message.endswith("wall or transducer has changed; inspect")
+
+
+def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_says_so():
+    chart = replace(RULES, decides_by="chart")
+    state, assessment = run(CHANGES[OK])
+    quiet = replace(state.memory, alarming=False)
+    healthy, row = replace(state, memory=quiet), row_of(assessment)
+    named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
+    told = replace(row, cause=WALL, cause_probability=0.97)
+    assert not wall_conditions("B", healthy, chart, row)[0].present
+    wall, transducer = wall_conditions("B", named, chart, told)
+    assert (wall.present, transducer.present) == (True, False)
+    assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
+    assert wall.proof["raised_by"] == "cause"
+    assert any(
+        "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
+    )
+    # What is not sure any more does not take it back, only health does.
+    unsure = replace(told, cause=UNDETERMINED)
+    assert wall_conditions("B", named, chart, unsure)[0].present
+    # Where k of n sets decide, they alone do.
+    assert not wall_conditions("B", named, RULES, told)[0].present
+    alarming = replace(named, memory=replace(quiet, alarming=True))
+    by_chart = wall_conditions("B", alarming, chart, told)[0]
+    assert by_chart.proof["raised_by"] == "chart"
+    assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
+
+
+def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
+    change = CHANGES[WALL]
+    state, whole = run(change)
+    before = State()
+    for one in sets(change)[: LAST + 20]:
+        before, _ = step(before, one, RULES)
+    kept = json.loads(json.dumps(averages_of(before.diagnosis_state)))
+    again = replace(before, diagnosis_state=restored_diagnosis_state(kept))
+    resumed, assessment = run(change, state=again, since=LAST + 20)
+    assert assessment.cause == whole.cause
+    assert resumed.diagnosis_state == state.diagnosis_state
+    assert restored_diagnosis_state({"average": [0.0]}) is None
+    # An earlier version kept no word on whether the last set was sure of a wall.
+    earlier = restored_diagnosis_state(kept | {"changes_count": kept["changes_count"][:2]})
+    assert earlier == replace(before.diagnosis_state, likely=False)
+
+
+def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
+    state, _ = run(CHANGES[OK])
+    design = state.baseline.causes
+    memory, cause = cause_after(state.diagnosis_state, design, SETS, {"isw_fwhm_s": None}, suspicious=True)
+    assert (memory, cause) == (state.diagnosis_state, None)
+    assert cause_confirmed(memory, design, {"isw_fwhm_s": None}) == (memory, None)
+
+
+def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s_and_planned_sets_keep_that():
+    foot = 0.3 * np.array(STIFFNESS[-1])
+    change = np.where(np.arange(SETS)[:, None] > LAST + 20, foot, 0.0)
+    struck_after, found = LAST + 25, sets(change)
+    state, alone = run(change, until=struck_after + 1)
+    assert alone.cause.cause == UNDETERMINED
+    assert "abrupt: inspect the contact" in experiment_text(alone.cause)["action"]
+    assert said(UNDETERMINED, 0.8, experiment_text(alone.cause)).startswith("CANNOT TELL: something has")
+    design, values = state.baseline.causes, found[struck_after].values
+    memory, confirmed = cause_confirmed(state.diagnosis_state, design, values)
+    assert (confirmed.cause, confirmed.reseated) == (COUPLING, True)
+    kept = restored_diagnosis_state(json.loads(json.dumps(averages_of(memory))))
+    assert kept == memory
+    state, assessment = run(change, state=replace(state, diagnosis_state=kept), since=struck_after + 1)
+    assert assessment.cause.cause == COUPLING
+    wall, transducer = wall_conditions("B", state, RULES, row_of(assessment))
+    assert (wall.present, transducer.present) == (False, True)

@@ -1,0 +1,31 @@
+"""Every measuring method has an entry that the line and its views can use."""
+
+from typing import get_args
+
+import pytest
+
+from daq_service.assessment.methods import METHODS
+from daq_service.catalogue.rows import columns_of
+from daq_service.settings.tree import ScheduleSettings
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.methods import Method
+
+
+def test_each_method_has_an_entry_and_each_record_knows_its_own() -> None:
+    assert set(METHODS) == set(get_args(Method)) == {Shot.method, PulseEchoRecord.method}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_what_views_ask_of_every_row_is_there(name: Method) -> None:
+    columns = [column.name for column in columns_of(METHODS[name].row)]
+    assert {"set_index", "position", "sequence", "due_h", "quality", "extractor_version"} <= set(columns)
+    assert METHODS[name].values
+    assert set(METHODS[name].values) <= set(columns)
+
+
+def test_a_set_wants_one_echo_and_so_many_strikes_as_configured() -> None:
+    schedule = ScheduleSettings(shots_per_set=7)
+    assert {name: method.records_planned(schedule) for name, method in METHODS.items()} == {
+        "solitary_wave": 7,
+        "pulse_echo": 1,
+    }

@@ -1,0 +1,99 @@
+"""From an echo to a row: no number without a back wall, clipping told, the V-shaped path taken off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.small_experiment import small_settings
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.assessment.pulse_echo import PulseEchoAssessor
+from hardware_drivers.measurement import PulseEchoRecord, ShotKey, Stamp, Waveform
+from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.electronics.transduction import counts_of
+from simulator.parameters.echo import EchoParameters
+
+STRAIGHT = EchoParameters(
+    element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
+)
+CALIBRATION = echo_calibration(STRAIGHT)
+
+
+def assessor(**ultrasound):
+    return PulseEchoAssessor("A", small_settings(ultrasound=ultrasound))
+
+
+def assessed(made, volts, sequence=1, settings=None):
+    echo = PulseEchoRecord(
+        sequence=sequence,
+        key=ShotKey(position="A", set_index=sequence, shot_index=0),
+        stamp=Stamp(utc_ns=0, mono_ns=0, boot_id="x"),
+        waveform=Waveform(
+            counts=counts_of(volts, CALIBRATION),
+            sample_rate_hz=1e8,
+            pretrigger_samples=0,
+            calibration=CALIBRATION,
+        ),
+        gain_db=30.0,
+        offset_v=0.0,
+        averages=16,
+        settings=settings or {},
+    )
+    return made.assess(DueSet(set_index=sequence, due_h=float(sequence), due_utc_ns=0), echo)
+
+
+def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
+    made = assessor()
+    assessed(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assessed(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
+    (row,) = found.thickness
+    assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
+    assert row.quality == "good"
+    assert found.shot_flags == {2: ()}
+    proof = found.conditions[0].proof
+    low_m, high_m = proof["interval_m"]
+    assert low_m < 4.2e-3 < high_m
+    assert high_m - low_m < 0.1e-3
+    assert proof["roughness_rms_m"] < 0.05e-3
+
+
+def test_without_a_back_wall_there_is_a_flag_and_no_number():
+    made = assessor()
+    assessed(made, echo_volts(6.35e-3, STRAIGHT))
+    noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
+    found = assessed(made, noise_v, sequence=2)
+    (row,) = found.thickness
+    assert row.quality == "bad"
+    assert (row.travel_time_s, row.thickness_m, row.thickness_loss_m) == (None, None, None)
+    assert found.shot_flags == {2: ("no_echo",)}
+    assert (found.n_valid, found.invalid) == (0, frozenset({2}))
+    assert found.conditions[0].proof["thickness_m"] is None
+    assert found.conditions[0].proof["interval_m"] is None
+
+
+@pytest.mark.parametrize(
+    ("gain", "settings"), [(1.0, {"clipped_records": 1.0}), (4.0, {"clipped_records": 16.0}), (4.0, {})]
+)
+def test_clipping_is_told_whether_the_mean_shows_it_or_only_the_instrument_does(gain, settings):
+    made = assessor()
+    assessed(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assessed(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
+    (row,) = found.thickness
+    assert found.shot_flags == {2: ("clipped",)}
+    assert row.quality == "suspect"
+    assert found.n_valid == 1
+    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # what is cut off is cut alike on both sides
+    assert "clipped" in found.note
+
+
+def test_the_separation_of_the_elements_is_taken_off_where_it_is_known():
+    echo = replace(STRAIGHT, element_separation_m=2.7e-3)
+    read_m = {}
+    for known_m in (0.0, 2.7e-3):
+        made = assessor(element_separation_m=known_m)
+        assessed(made, echo_volts(6.35e-3, echo))
+        (row,) = assessed(made, echo_volts(3.8e-3, echo), sequence=2).thickness
+        read_m[known_m] = row.thickness_m
+        assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
+    assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)
+    assert read_m[0.0] == pytest.approx(3.945e-3, abs=1e-6)

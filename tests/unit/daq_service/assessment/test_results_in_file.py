@@ -1,0 +1,55 @@
+"""Results in a file are a copy: what differs from the rows is told, and of the same extractor only."""
+
+import math
+from dataclasses import replace
+
+from daq_service.assessment.results_in_file import differing, results_of
+from daq_service.catalogue.rows import FeatureRow, ShotRow, ThicknessRow
+
+COMMON = {"set_index": 7, "due_h": 4.0, "extractor_version": "1.1", "quality": "good"}
+SHOT = ShotRow(
+    sequence=41, set_index=7, position="B", shot_index=0, attempt=0, utc_ns=1, mono_ns=1, boot_id="b",
+    crc32=1, valid=True, flags=["noisy", "no_psw"],
+)  # fmt: skip
+FEATURE = FeatureRow(position="B", shot_index=0, sequence=41, n_valid=1, tof_pp_s=3.3e-4, **COMMON)
+MEAN = FeatureRow(position="B", shot_index=None, sequence=None, n_valid=1, tof_pp_s=3.3e-4, **COMMON)
+WALL = ThicknessRow(position="A", sequence=40, thickness_m=6.3e-3, **COMMON)
+ECHO = replace(SHOT, sequence=40, position="A", flags=[])
+
+
+def results(*rows, shots=(SHOT, ECHO)):
+    features = [row for row in rows if isinstance(row, FeatureRow)]
+    return results_of(features, [row for row in rows if isinstance(row, ThicknessRow)], shots)
+
+
+def test_each_kind_of_row_has_its_table_with_flags_of_its_shot():
+    found = results(FEATURE, MEAN, WALL)
+    assert (found["features"]["shot_id"], found["features"]["tof_pp_s"]) == ([41], [3.3e-4])
+    assert (found["features"]["flags"], found["features"]["valid"]) == (["noisy no_psw"], [1])
+    assert (found["set_features"]["position"], found["set_features"]["n_valid"]) == (["B"], [1])
+    assert "shot_id" not in found["set_features"]
+    assert (found["thickness"]["thickness_m"], found["thickness"]["shot_id"]) == ([6.3e-3], [40])
+    assert math.isnan(found["features"]["tof_mf_s"][0])
+
+
+def test_a_result_whose_record_is_lost_is_left_out():
+    assert results(FEATURE, WALL, shots=[]) == {}
+
+
+def test_a_copy_is_like_its_rows_also_where_there_is_no_value():
+    assert list(differing(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
+
+
+def test_a_value_a_row_too_few_and_one_too_many_are_told():
+    copy = results(FEATURE, MEAN)
+    told = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
+    assert told == [
+        "features, shot_id 41: tof_pp_s is nan, in the file 0.00033",
+        "set_features, position B: there is no row",
+        "thickness, position A: not in the file",
+    ]
+
+
+def test_another_version_of_the_extractor_is_passed_over():
+    other = replace(FEATURE, tof_pp_s=1.0, extractor_version="2")
+    assert list(differing(results(FEATURE), results(other))) == []

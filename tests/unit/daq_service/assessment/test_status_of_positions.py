@@ -1,0 +1,80 @@
+"""How a position stands."""
+
+from dataclasses import replace
+
+import pytest
+
+from daq_service.assessment.position_status import interval_at, status_of
+from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow
+from daq_service.settings.tree import Settings
+
+SET = SetRow(
+    set_index=0,
+    position="B",
+    method="solitary_wave",
+    due_utc_ns=0,
+    due_h=0.0,
+    state="done",
+    n_planned=1,
+)
+ECHO_SET = replace(SET, method="pulse_echo")
+
+
+ALARM = AlarmRow(
+    position="B",
+    kind="wall_change",
+    family="damage",
+    severity="high",
+    state="acknowledged",
+    raised_utc_ns=0,
+    raised_h=0.0,
+    changed_utc_ns=0,
+    message="3 of the last 5 sets at B are outliers",
+    proof={},
+)
+SHELVED = replace(ALARM, suppressed="shelved")
+OUT_OF_SERVICE = replace(ALARM, suppressed="out_of_service")
+
+
+def judged(outlier):
+    return AssessmentRow(
+        set_index=0, position="B", due_h=0.0, in_baseline=False, limit_name="f_predictive", outlier=outlier
+    )
+
+
+@pytest.mark.parametrize(
+    ("last_set", "assessment", "alarms", "word"),
+    [
+        (None, None, [], "no_data"),
+        # It was reinstated after this set: what it is now is told by its alarms.
+        (replace(SET, state="retired"), judged(False), [], "normal"),
+        (SET, judged(False), [ALARM], "alarm"),
+        (SET, judged(False), [ALARM, replace(ALARM, kind="hole")], "retired"),
+        (SET, judged(True), [], "outlier"),
+        (SET, judged(False), [SHELVED], "shelved"),
+        (ECHO_SET, None, [SHELVED], "shelved"),
+        (SET, judged(True), [SHELVED, OUT_OF_SERVICE], "out_of_service"),
+        (SET, judged(False), [OUT_OF_SERVICE, ALARM], "alarm"),
+        (SET, judged(False), [replace(OUT_OF_SERVICE, kind="retired")], "retired"),
+        (SET, judged(None), [replace(SHELVED, kind="not_judged")], "not_judged"),
+        (SET, judged(False), [], "normal"),
+        (SET, replace(judged(None), in_baseline=True), [], "learning"),
+        (SET, judged(None), [], "not_judged"),
+        (SET, judged(None), [replace(ALARM, kind="not_judged")], "not_judged"),
+        (SET, judged(None), [replace(ALARM, kind="not_judged"), replace(ALARM, kind="no_data")], "alarm"),
+        (SET, None, [], "learning"),
+        (ECHO_SET, None, [], "normal"),
+    ],
+)
+def test_word_for_a_position(last_set, assessment, alarms, word):
+    method = SET.method if last_set is None else last_set.method
+    last = LastWord(
+        position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms
+    )
+    assert status_of(last) == word
+
+
+def test_interval_follows_the_phases():
+    schedule = Settings().schedule
+    assert [interval_at(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]

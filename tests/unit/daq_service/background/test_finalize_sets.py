@@ -1,0 +1,106 @@
+"""Files are made beside the line: what fails is told, tried again, and costs nothing."""
+
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+
+import pytest
+from support.archived_sets import SET_INDEX, make_set, other_set
+from support.filed_archive import FiledArchive
+from support.small_experiment import AtOnce
+
+from daq_service.archive import FolderArchive
+from daq_service.background import finalize_sets as module
+from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
+
+
+class Broken(Executor):
+    """A worker that was killed."""
+
+    def submit(self, work, /, *arguments, **named):
+        future = Future()
+        future.set_exception(BrokenProcessPool("killed"))
+        return future
+
+
+@pytest.fixture
+def archive(tmp_path):
+    archive = FolderArchive(tmp_path)
+    for index in (SET_INDEX, SET_INDEX + 1):
+        archive.store_set(other_set(make_set(), index))
+    yield archive
+    archive.close()
+
+
+def files(folder):
+    return sorted(path.name for path in (folder / "sets").iterdir())
+
+
+def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
+    making = SetFinalizer(tmp_path, archive, start=AtOnce)
+    for index in archive.sets():
+        making.put(index)
+    making.work()
+    making.close()
+    assert (len(files(tmp_path)), making.waits, making.trouble) == (2, False, "")
+    archive.close()
+    assert list((tmp_path / "journal").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "refusal", [OSError(28, "No space left on device"), KeyError("what nobody foresaw")], ids=repr
+)
+def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypatch, refusal):
+    now_s = [0.0]
+    making = SetFinalizer(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
+
+    def refuse(folder, set_index, places, results, also):
+        raise refusal
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "compact_set", refuse)
+        making.put(SET_INDEX)
+        making.work()
+        assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])
+    now_s[0] = AGAIN_AFTER_S - 1.0
+    making.work()
+    assert files(tmp_path) == []
+    now_s[0] = AGAIN_AFTER_S
+    making.work()
+    making.work()
+    assert (len(files(tmp_path)), making.waits, making.trouble) == (1, False, "")
+
+
+def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
+    workers = [Broken(), AtOnce()]
+    making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
+    making.put(SET_INDEX)
+    making.work()
+    assert files(tmp_path) == []
+    making.try_again()
+    making.try_again()
+    assert (len(files(tmp_path)), making.waits) == (1, False)
+
+
+def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
+    archive = FiledArchive(tmp_path)
+    archive.store_set(make_set())
+    making = SetFinalizer(tmp_path, archive, start=AtOnce)
+    making.put(SET_INDEX)
+    making.work()
+    assert (making.waits, making.trouble) == (False, "")
+
+
+def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, tmp_path):
+    (segment,) = (tmp_path / "journal").iterdir()
+    content = bytearray(segment.read_bytes())
+    content[content.find(make_set().shots[0].waveform.counts.tobytes()) + 5] ^= 1
+    segment.write_bytes(content)
+    making = SetFinalizer(tmp_path, archive, start=AtOnce)
+    for index in archive.sets():
+        making.put(index)
+    making.try_again()
+    assert (len(files(tmp_path)), making.waits) == (1, False)
+    ((_, reason),) = making.damaged.items()
+    assert "its frame in the journal is damaged" in reason
+    archive.close()
+    assert segment.exists()

@@ -1,0 +1,189 @@
+"""Tiles grow beside the line: what fails with them is a line of the log, and costs neither set nor test."""
+
+import logging
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from support.archived_sets import SET_INDEX, make_set, other_set
+from support.life_of_a_test import lived
+from support.small_experiment import AtOnce
+from support.stored_files import read_set, set_files
+from support.table_rows import lose_catalogue, table_rows
+
+from daq_service.archive import FolderArchive
+from daq_service.archive.waterfall.cells import anchors_of, of_set
+from daq_service.archive.waterfall.tile_files import tiles_of
+from daq_service.archive.waterfall.tiles import TILES_FOLDER
+from daq_service.assessment.results_in_file import results_in
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.tiles import EVERY_S, SETS_A_TURN, TileMaker, tile_record
+from daq_service.background.verification import QUIET_S
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.owner import experiment_identity
+from daq_service.recording.rebuild import rebuild
+from hardware_drivers.measurement import PLANNED_SETS
+
+N_SETS = 6
+RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
+
+
+class Line:
+    """A folder with some sets, and what adds them to tiles on a clock of its own."""
+
+    def __init__(self, folder):
+        self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
+        self.archive = FolderArchive(folder)
+        self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
+        self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
+        self.compaction = SetFinalizer(
+            folder, self.archive, start=AtOnce, results=lambda set_index: RESULTS, also=self.tile
+        )
+        self.tiling = TileMaker(
+            folder,
+            "ab/1",
+            self.compaction,
+            lambda: self.files,
+            lambda set_index: self.read.append(set_index) or RESULTS,
+            has_room=lambda: self.room,
+            mono_s=lambda: self.now_s,
+        )
+
+    def tile(self, set_index, results):
+        return partial(tile_record, self.folder, "ab/1", anchors_of(results)) if self.room else None
+
+    def file(self, *, room=True):
+        """Have all sets get their files; with no room they get no tiles."""
+        self.room = room
+        for index in self.files:
+            self.compaction.put(index)
+            self.compaction.work()
+        self.room = True
+        assert len(list((self.folder / "sets").iterdir())) == N_SETS
+
+    def tiles(self, position="B", alignment="trigger"):
+        return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
+
+    def kept(self):
+        return [index for index in self.files if self.tiles().is_kept(index)]
+
+    def work(self, free_s=0.0):
+        """Have one turn done, and taken back."""
+        self.tiling.work(free_s)
+        self.tiling.work(0.0)
+
+
+@pytest.fixture
+def line(tmp_path):
+    line = Line(tmp_path)
+    yield line
+    line.compaction.close()
+    line.archive.close()
+
+
+def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
+    line.file()
+    assert line.kept() == list(line.files)
+    for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
+        tiles = line.tiles(position, alignment)
+        record = line.records[SET_INDEX]
+        expected = of_set(record, position, alignment, anchors_of(RESULTS), tiles.frame)
+        np.testing.assert_array_equal(tiles.row(0, SET_INDEX).planes, expected)
+
+
+def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
+    line.file(room=False)
+    line.work(free_s=QUIET_S)
+    assert line.kept() == [], "a set is due soon"
+    line.work(free_s=QUIET_S + 1)
+    assert line.kept() == list(line.files)[-SETS_A_TURN:]
+    line.work(free_s=QUIET_S + 1)
+    assert len(line.kept()) == SETS_A_TURN, "not so soon again"
+    line.now_s += EVERY_S
+    line.work(free_s=QUIET_S + 1)
+    assert line.kept() == list(line.files)
+
+
+def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
+    line.compaction.put(SET_INDEX)
+    assert line.compaction.waits
+    line.read.clear()
+    line.work(free_s=QUIET_S + 1)
+    assert line.read == []
+
+
+def test_a_damaged_tile_is_made_again_in_the_next_round(line):
+    line.file()
+    (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
+    content = bytearray(path.read_bytes())
+    content[-9] ^= 1
+    path.write_bytes(content)
+    assert line.kept() == list(line.files)[:-1]
+    for _ in range(2):
+        line.work(free_s=QUIET_S + 1)
+        line.now_s += EVERY_S
+    assert line.kept() == list(line.files)
+
+
+def test_a_folder_that_takes_no_tile_is_told_once_and_costs_nothing(line, caplog):
+    (line.folder / TILES_FOLDER).write_bytes(b"no folder")
+    with caplog.at_level(logging.WARNING):
+        line.file()
+        for _ in line.files:
+            line.work(free_s=QUIET_S + 1)
+            line.now_s += EVERY_S
+    told = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
+    assert len(told) == 2, "once by the making of files, once by the rounds"
+    assert line.compaction.trouble == ""
+
+
+def test_a_full_volume_gets_no_tiles(line):
+    line.file(room=False)
+    line.room = False
+    line.work(free_s=QUIET_S + 1)
+    assert not (line.folder / TILES_FOLDER).exists()
+
+
+def test_a_set_beside_the_plan_gets_no_tiles(line):
+    record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
+    assert tile_record(line.folder, "ab/1", {}, record) == ""
+    assert not (line.folder / TILES_FOLDER).exists()
+
+
+@pytest.fixture(scope="module")
+def life(tmp_path_factory):
+    return lived(tmp_path_factory.mktemp("life"))
+
+
+@pytest.fixture
+def older(life, tmp_path):
+    """A copy of a folder of an earlier version: without tiles."""
+    folder = tmp_path / "copy"
+    shutil.copytree(life.folder, folder)
+    shutil.rmtree(folder / TILES_FOLDER, ignore_errors=True)
+    return replace(life, folder=folder)
+
+
+def test_rebuild_makes_the_tiles_of_an_older_folder(older):
+    before = table_rows(older.folder)
+    lose_catalogue(older.folder)
+    assert rebuild(older.folder, features_of=older.features_of).warnings == []
+    assert table_rows(older.folder) == before
+    with open_catalogue(older.folder) as catalogue:
+        name = experiment_identity(catalogue.experiment_row())
+        for path in set_files(older.folder).values():
+            record = read_set(path)
+            anchors = anchors_of(results_in(catalogue, record.set_index))
+            for place in {taken.key.position for taken in record.records}:
+                tiles = tiles_of(older.folder, name, record, place, "first")
+                expected = of_set(record, place, "first", anchors, tiles.frame)
+                np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
+
+
+def test_rebuild_goes_on_where_old_tiles_cannot_be_removed(older):
+    (older.folder / TILES_FOLDER).write_bytes(b"no folder")
+    lose_catalogue(older.folder)
+    (warning,) = rebuild(older.folder, features_of=older.features_of).warnings
+    assert "not in the waterfall's tiles: the old tiles stay" in warning

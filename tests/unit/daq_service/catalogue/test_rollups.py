@@ -1,0 +1,197 @@
+"""Trends and fits from blocks against plain numbers of all rows, whatever happened to the sets."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sqlalchemy import delete, func, select
+from support.new_experiment import new_catalogue
+
+from analysis.statistics.trend import fit_trend, trend_of_part
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.connection import writing
+from daq_service.catalogue.rollups import (
+    QUALITIES,
+    rebuild_trends,
+    trend_bins,
+    trend_differences,
+    trend_part,
+    values_of,
+)
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, FeatureRow, SetRow
+from daq_service.catalogue.tables import sets, trend_blocks
+
+N_SETS, BASELINE = 330, 48
+VALUES = ("tof_pp_s", "amplitude_ratio")
+
+
+def random_sets(folder, seed):
+    """Sets of one position, with the rows of each; judged again, late, missed, retired, without values."""
+    chance = random.Random(seed)
+    catalogue, told, waiting = new_catalogue(folder), {}, []
+    retired = range(200, 240)
+    for index in range(N_SETS):
+        own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
+        state = "retired" if index in retired else chance.choice(["done"] * 6 + ["missed"])
+        commit, row = SetCommit(), {"state": state, "due_h": own["due_h"], "alarms": 0, "outlier": None}
+        commit.sets.append(SetRow(**own, method="solitary_wave", due_utc_ns=index, state=state, n_planned=2))
+        if state == "done":
+            row |= {
+                name: chance.choice([None, *(chance.gauss(5.0, 1.0) for _ in range(5))]) for name in VALUES
+            }
+            row["quality"] = chance.choice(QUALITIES)
+            given = {name: row[name] for name in VALUES}
+            commit.features.append(
+                FeatureRow(**own, **given, shot_index=None, sequence=None, extractor_version="1",
+                           quality=row["quality"], n_valid=2)
+            )  # fmt: skip
+            row["outlier"] = None if index < BASELINE else chance.random() < 0.02
+            row["distance_squared"] = None if index < BASELINE else chance.random()
+            commit.assessments.append(assessment(own, row, index < BASELINE))
+        if chance.random() < 0.03:
+            row["alarms"] = 1
+            commit.alarms.append(alarm(index))
+        told[index] = row
+        waiting.append(commit)
+        if index == BASELINE:  # the baseline's own distances are known now
+            for number in range(BASELINE):
+                if told[number]["state"] == "done":
+                    told[number]["distance_squared"] = chance.random()
+                    own = {"position": "B", "set_index": number, "due_h": told[number]["due_h"]}
+                    waiting[-1].assessments.append(assessment(own, told[number], True))
+        if chance.random() < 0.8 or index == N_SETS - 1:
+            late = chance.random() < 0.3 and index > BASELINE + 5
+            for commit in waiting[::-1] if late else waiting:
+                catalogue.commit_set(commit)
+            waiting = []
+    catalogue.commit_set(SetCommit(alarms=[alarm(7)]))
+    told[7]["alarms"] += 1
+    return catalogue, told
+
+
+def assessment(own, row, in_baseline):
+    return AssessmentRow(
+        **own, in_baseline=in_baseline, distance_squared=row["distance_squared"], outlier=row["outlier"],
+        limit_name="f_predictive", limit_f=24.3,
+    )  # fmt: skip
+
+
+def alarm(index):
+    return AlarmRow(
+        position="B", kind="hole", family="damage", severity="high", state="normal", raised_utc_ns=0,
+        raised_h=0.0, raised_set_index=index, changed_utc_ns=0, message="", proof={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_bins_say_what_all_rows_say(tmp_path, seed):
+    chance = random.Random(seed)
+    catalogue, told = random_sets(tmp_path, seed)
+    with catalogue:
+        for _ in range(60):
+            first_h, last_h = sorted(chance.uniform(-5.0, 180.0) for _ in range(2))
+            points = chance.choice([1, 2, 7, 30, 100])
+            rows = {index: row for index, row in told.items() if first_h <= row["due_h"] <= last_h}
+            found = trend_bins(
+                catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
+            )
+            if found is None:
+                assert sum(row["state"] == "done" for row in rows.values()) <= points
+                continue
+            width, bins = found
+            assert 0 < bins.size <= points
+            of = {}
+            for index, row in rows.items():
+                if row["state"] != "retired" or row["alarms"]:
+                    of.setdefault(index // width, {})
+                of.get(index // width, {})[index] = row
+            assert [int(first) // width for first in bins["first_set"]] == sorted(of)
+            for row_of, found_bin in zip((of[key] for key in sorted(of)), bins, strict=True):
+                compare({i: rows[i] for i in rows if i // width == next(iter(row_of)) // width}, found_bin)
+
+
+def compare(rows, found):
+    """One bin against the rows of its sets."""
+    assert (found["first_set"], found["last_set"]) == (min(rows), max(rows))
+    done = [row for row in rows.values() if row["state"] == "done"]
+    assert (found["n_sets"], found["n_missed"]) == (
+        len(done), sum(row["state"] == "missed" for row in rows.values()),
+    )  # fmt: skip
+    outliers = [index for index, row in rows.items() if row["outlier"]]
+    assert (found["n_outliers"], found["first_outlier"]) == (len(outliers), min(outliers, default=np.inf))
+    alarms = [index for index, row in rows.items() if row["alarms"]]
+    n_alarms = sum(row["alarms"] for row in rows.values())
+    assert (found["n_alarms"], found["first_alarm"]) == (n_alarms, min(alarms, default=np.inf))
+    worst = max((QUALITIES.index(row["quality"]) for row in done), default=-np.inf)
+    assert found["worst_quality"] == worst
+    for name in (*VALUES, "distance_squared"):
+        column = values_of(FeatureRow).index(name)
+        values = [row[name] for row in done if row[name] is not None]
+        assert found["count"][column] == len(values)
+        assert found["minimum"][column] == min(values, default=np.inf)
+        assert found["maximum"][column] == max(values, default=-np.inf)
+        # Sums of at most 330 numbers in another order.
+        assert found["sum"][column] == pytest.approx(sum(values), rel=1e-13)
+
+
+def test_fits_are_those_of_all_rows(tmp_path):
+    catalogue, told = random_sets(tmp_path, 5)
+    chance = random.Random(5)
+    with catalogue:
+        for _ in range(20):
+            first_h, last_h = sorted((chance.uniform(-5.0, 60.0), chance.uniform(70.0, 180.0)))
+            part = trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
+            rows = [row for row in told.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row]
+            values = np.array([row["tof_pp_s"] for row in rows], dtype=float)
+            whole, trend = fit_trend([row["due_h"] for row in rows], values), trend_of_part(part)
+            assert trend.n_points == whole.n_points
+            # Two orthogonalisations of the same problem: they differ by rounding only.
+            hours = np.array([first_h, last_h])
+            np.testing.assert_allclose(trend.at(hours), whole.at(hours), rtol=1e-10)
+            assert trend.residual_sd == pytest.approx(whole.residual_sd, rel=1e-10)
+        assert trend_part(catalogue, "B", "tof_pp_s", first_h=900.0, last_h=None)["n"] == 0
+
+
+def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
+    catalogue, _ = random_sets(tmp_path, 1)
+    with catalogue:
+        with writing(catalogue._engine) as connection:
+            assert list(trend_differences(connection)) == []
+            kept = connection.execute(trend_blocks.select()).all()
+            rebuild_trends(connection)
+            assert sorted(connection.execute(trend_blocks.select()).all()) == sorted(kept)
+            gone = "B/bins/0000000064/0000000064"
+            connection.execute(delete(trend_blocks).where(trend_blocks.c.place == gone))
+            found = list(trend_differences(connection))
+        assert any(gone in line for line in found)
+        catalogue.restore([replace(alarm(70), id=99)])  # touches a set of that block
+        with catalogue.reading() as connection:
+            assert list(trend_differences(connection)) == []
+
+
+def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_path):
+    with new_catalogue(tmp_path) as catalogue:
+        for index in (*range(70), 300):
+            catalogue.commit_set(SetCommit(sets=[planned(index)]))
+        with catalogue.reading() as connection:
+            assert list(trend_differences(connection)) == []
+
+
+def test_a_damaged_row_keeps_no_set_from_being_stored(tmp_path, caplog):
+    with new_catalogue(tmp_path) as catalogue:
+        for index in range(3):
+            catalogue.commit_set(SetCommit(sets=[planned(index)]))
+        with writing(catalogue._engine) as connection:
+            connection.execute(sets.update().where(sets.c.set_index == 1).values(due_h=77.0))
+        catalogue.commit_set(SetCommit(sets=[planned(3)]))  # the last one of a block
+        with catalogue.reading() as connection:
+            assert connection.execute(select(func.max(sets.c.set_index))).scalar_one() == 3
+    assert "trends of B are not brought up to date: row 2 of table sets" in caplog.text
+
+
+def planned(index):
+    return SetRow(
+        position="B", set_index=index, due_h=0.5 * index, method="solitary_wave", due_utc_ns=index,
+        state="done", n_planned=2,
+    )  # fmt: skip

@@ -1,0 +1,665 @@
+"""A folder that is looked at, mended and copied; beside a recorder, and with every kind of damage."""
+
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tarfile
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.archived_sets import make_set
+from support.command_line import solimon_here
+from support.damaging import damaged
+from support.filed_archive import FiledArchive
+from support.kept_folder import SETS, lay_out, state_of
+from support.served_web import served
+from support.small_experiment import SMALL, disturbed_rig, rows_of, run, small_settings
+
+from daq_service.archive import FolderArchive, FolderSetReader
+from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.journal.reader import segment_path
+from daq_service.assessment.results_in_file import results_in
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.tables import KINDS as KINDS_OF_ROWS
+from daq_service.cli.maintenance import backup, command
+from daq_service.cli.maintenance.backup import back_up
+from daq_service.cli.maintenance.verify import KINDS, verify_folder
+from daq_service.cli.status.facts import describe_status
+from daq_service.commands.audit import Audit
+from daq_service.errors import BusyError, StorageError, StorageUnavailableError
+from daq_service.processes.data_folder import own_data_folder, settings_of_folder
+from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
+from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
+from daq_service.recording.rebuild import rebuild
+
+FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
+FILES = {
+    index: f"sets/set_{index:06d}_20240101T{hour}00Z.h5"
+    for index, hour in enumerate(("0030", "0100", "0130"))
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return lay_out(tmp_path / "data")
+
+
+def solimon(*arguments):
+    said = solimon_here(*map(str, arguments), "--json", env={})
+    return said.returncode, json.loads(said.stdout) if said.stdout else said.stderr
+
+
+def kinds(folder):
+    return sorted({(item.kind, item.file, item.shot_id) for item in verify_folder(folder).damage}, key=str)
+
+
+def flip(path, place):
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+
+
+def change(folder, sql):
+    with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
+        database.execute(sql)
+
+
+def hit_a_record(folder, index):
+    """Damage the first record of position B, and return its id."""
+    record = FolderSetReader(folder).read_set(FILES[index])
+    shot = next(item for item in record.shots if item.key.position == "B")
+    content = (folder / FILES[index]).read_bytes()
+    # The high bytes of a record are deflated, the low ones stored as they are: noise.
+    low = shot.waveform.counts.astype("<i2").view("u1").reshape(-1, 2)[:, 0].tobytes()
+    flip(folder / FILES[index], content.index(low[1000:1064]))
+    return shot.sequence
+
+
+# verify --------------------------------------------------------------------------------------------
+
+
+def test_a_whole_folder_is_clean_and_nothing_in_it_is_touched(folder):
+    before = state_of(folder)
+    code, said = solimon("verify", "--data-dir", folder)
+    assert (code, said["ok"], said["damage"]) == (0, True, [])
+    assert said["checked"].items() >= {"files": SETS, "shots": 10 * SETS, "sets_with_rows": SETS}.items()
+    assert state_of(folder) == before
+
+
+def test_each_damage_is_named_with_exit_code_4(folder):
+    shot_id = hit_a_record(folder, 0)
+    (folder / FILES[1]).write_bytes(b"")
+    (folder / FILES[2]).unlink()
+    before = state_of(folder)
+    code, said = solimon("verify", "--data-dir", folder)
+    assert (code, said["ok"]) == (4, False)
+    found = {(item["kind"], item["file"], item["shot_id"]) for item in said["damage"]}
+    assert found == {
+        ("shot", FILES[0], shot_id),
+        ("set_touched", FILES[0], None),
+        ("set_unreadable", FILES[1], None),
+        ("set_touched", FILES[1], None),
+        ("set_missing", FILES[2], None),
+    }
+    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in said["damage"])
+    assert state_of(folder) == before
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "UPDATE shots SET crc32 = crc32 + 1 WHERE sequence = 12",
+        "UPDATE shots SET utc_ns = utc_ns + 1 WHERE sequence = 12",
+        "UPDATE shots SET outcome = 'superseded' WHERE sequence = 12",
+        "DELETE FROM shots WHERE sequence = 12",
+        "UPDATE shots SET sequence = 999 WHERE sequence = (SELECT max(sequence) FROM shots)",
+        "UPDATE sets SET due_h = due_h + 0.25 WHERE id = 6",
+        "UPDATE sets SET n_taken = 2, state = 'partial' WHERE id = 6",
+        "UPDATE sets SET file = NULL WHERE id = 6",
+        "DELETE FROM sets WHERE id = 6",
+        "DELETE FROM features WHERE set_index = 1 AND position = 'B' AND shot_index = 1",
+        "DELETE FROM verdicts WHERE set_index = 1 AND position = 'B'",
+        "DELETE FROM thickness WHERE set_index = 1",
+        "UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 3600000000000",
+    ],
+)
+def test_a_row_that_differs_from_its_file_is_named(folder, sql):
+    change(folder, sql)
+    assert {item.kind for item in verify_folder(folder).damage} >= {"row"}
+
+
+@pytest.mark.parametrize(
+    ("sql", "told"),
+    [
+        ("UPDATE features SET tof_pp_s = 1.0 WHERE sequence = 12", "features, shot_id 12: tof_pp_s is 1.0"),
+        ("UPDATE shots SET flags = '[\"noisy\"]' WHERE sequence = 12", "shot_id 12: flags is 'noisy'"),
+        ("UPDATE shots SET valid = 0 WHERE sequence = 12", "shot_id 12: valid is 0, in the file 1"),
+        (
+            "UPDATE features SET quality = 'bad' WHERE set_index = 1 AND position = 'C' AND sequence IS NULL",
+            "set_features, position C: quality is 'bad', in the file 'good'",
+        ),
+        ("UPDATE thickness SET thickness_m = NULL WHERE set_index = 1", "position A: thickness_m is nan"),
+        ("DELETE FROM features WHERE sequence = 12", "features, shot_id 12: there is no row"),
+    ],
+)
+def test_results_are_compared_with_their_copy_in_the_file(folder, sql, told):
+    change(folder, sql)
+    assert any(f"set 1, {told}" in item.told or told in item.told for item in verify_folder(folder).damage)
+
+
+def test_another_version_of_the_extractor_may_say_something_else(folder):
+    change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
+    assert not any("in the file" in item.told for item in verify_folder(folder).damage)
+
+
+def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder):
+    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+        change(folder, f"DELETE FROM {table} WHERE set_index = 1")
+    assert kinds(folder) == [("file_without_rows", FILES[1], None)]
+    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+        change(folder, f"DELETE FROM {table} WHERE set_index = 2")
+    report = verify_folder(folder)
+    assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
+
+
+def test_an_older_copy_of_the_catalogue_is_named_by_verify_and_status(folder):
+    older = (folder / "catalogue.sqlite").read_bytes()
+    with open_catalogue(folder, writer=True) as catalogue:
+        catalogue.add_event(utc_ns=1, topic="service", kind="recorder_stopped", payload={})
+        HistoryFollower(folder, catalogue).begin()
+    assert kinds(folder) == []
+    assert describe_status(*reversed(settings_of_folder(None, folder)))["lost"] == {}
+    (folder / "catalogue.sqlite").write_bytes(older)
+    assert kinds(folder) == [("catalogue", "catalogue.sqlite", None)]
+    ((file, what),) = describe_status(*reversed(settings_of_folder(None, folder)))["lost"].items()
+    assert file == "catalogue.sqlite"
+    assert "solimon rebuild" in what
+
+
+def test_a_set_of_another_test_or_under_another_name_is_named(folder):
+    (folder / FILES[1]).write_bytes((folder / FILES[0]).read_bytes())
+    stranger = FiledArchive(folder).store_set(
+        replace(make_set(), provenance={"configuration_hash": "ab" * 32}, trouble="")
+    )
+    assert kinds(folder) == [
+        ("metadata", FILES[1], None),
+        ("metadata", stranger.file, None),
+        ("set_touched", FILES[1], None),
+    ]
+
+
+def audit_three(folder):
+    for who in ("ann", "ben", "cleo"):
+        Audit(folder).tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+
+
+def notify_three(folder):
+    for receiver in ("ann", "ben", "cleo"):
+        DeliveryLog(folder).tell(Delivery(receiver=receiver, what="sent", told="a hole at B"))
+
+
+@pytest.mark.parametrize(
+    ("write_three", "kind", "file", "remedy"),
+    [
+        (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
+        (notify_three, "notifications", "notifications.jsonl", "a message may go out once more"),
+    ],
+)
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        (lambda lines: [lines[0], lines[1].replace(b"ben", b"bob"), lines[2]], "damaged at line 2"),
+        (lambda lines: [lines[0], lines[2]], "lacks its lines 2 to 2"),
+        (lambda lines: [*lines[:2], lines[2][:40] + b"\n"], "damaged at line 3"),
+    ],
+    ids=["changed", "taken away", "torn"],
+)
+def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, told, write_three, kind, file, remedy):
+    write_three(folder)
+    assert kinds(folder) == []
+    path = folder / file
+    path.write_bytes(b"".join(harm(path.read_bytes().splitlines(keepends=True))))
+    code, said = solimon("verify", "--data-dir", folder)
+    assert code == 4
+    (damage,) = said["damage"]
+    assert (damage["kind"], damage["file"]) == (kind, file)
+    assert told in damage["told"]
+    assert remedy in damage["told"]
+
+
+def end_of_history(folder, *, lines):
+    path = folder / "history.jsonl"
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-lines]))
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [lambda folder: end_of_history(folder, lines=4), lambda folder: (folder / "history.jsonl").unlink()],
+    ids=["cut off", "gone"],
+)
+def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_start(folder, harm):
+    harm(folder)
+    code, said = solimon("verify", "--data-dir", folder)
+    assert code == 4
+    (damage,) = said["damage"]
+    assert (damage["kind"], damage["file"]) == ("history", "history.jsonl")
+    assert "history.jsonl ends before events" in damage["told"]
+    assert run(small_settings(schedule={"end_h": (SETS + 1) * 0.5}), folder)
+    assert kinds(folder) == []
+
+
+@pytest.mark.parametrize(("behind_s", "damage"), [(0.9, []), (61.0, [("history", "history.jsonl", None)])])
+def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behind_s, damage):
+    end_of_history(folder, lines=12)
+    with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
+        last = database.execute("SELECT max(id) FROM events").fetchone()[0]
+        database.execute("DELETE FROM events WHERE id = ?", (last,))  # the farewell
+        database.execute("UPDATE events SET wall_utc_ns = ? + id", (10**18,))
+        database.execute(
+            "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
+        )
+    # The times were moved in the catalogue alone, which differs from the history by that.
+    found = [one for one in kinds(folder) if one[0] not in ("row", "catalogue")]
+    assert found == damage
+
+
+def test_files_that_are_not_ours_are_noted_and_no_damage(folder):
+    (folder / "sets" / "notes.txt").write_text("wet")
+    (folder / "sets" / "half.tmp").write_text("half")
+    (folder / "quarantine").mkdir()
+    (folder / "quarantine" / "set.h5").write_text("?")
+    report = verify_folder(folder)
+    assert report.damage == []
+    assert [note.split(":")[0] for note in report.notes] == [
+        "left over in sets",
+        "not solimon's, in sets",
+        "set aside in quarantine",
+    ]
+
+
+def test_a_lost_or_foreign_catalogue_is_named_and_the_files_are_checked_all_the_same(folder):
+    (folder / "catalogue.sqlite").write_bytes(b"no database at all" * 1000)
+    (folder / FILES[1]).write_bytes(b"")
+    assert {item.kind for item in verify_folder(folder).damage} == {"catalogue", "set_unreadable"}
+    (folder / "catalogue.sqlite").unlink()
+    assert {item.kind for item in verify_folder(folder).damage} == {"catalogue", "set_unreadable"}
+
+
+def test_a_folder_without_a_test_is_no_clean_one(tmp_path):
+    for place in (tmp_path, tmp_path / "gone"):
+        code, said = solimon("verify", "--data-dir", place)
+        assert (code, "holds no test" in said) == (4, True)
+
+
+def values_of(folder):
+    """What a reader gets of all tables."""
+    with open_catalogue(folder) as catalogue:
+        return {kind: catalogue.rows(kind) for kind in KINDS_OF_ROWS}
+
+
+def one_damaged_catalogue(folder, number):
+    """Damage a copy; whether verify names it: what it does not name reads as it was written."""
+    content = lay_out(folder).joinpath("catalogue.sqlite").read_bytes()
+    before = values_of(folder)
+    for beside in folder.glob("catalogue.sqlite-*"):
+        beside.unlink()
+    (folder / "catalogue.sqlite").write_bytes(damaged(content, number))
+    if verify_folder(folder).damage:
+        return True
+    assert values_of(folder) == before, number
+    return False
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [range(8), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(8, 1008, 100))],
+    ids=str,
+)
+def test_a_damaged_catalogue_is_named_or_says_what_it_said(tmp_path, numbers):
+    assert sum(one_damaged_catalogue(tmp_path / "data", number) for number in numbers) > 0
+
+
+# Beside a recorder ---------------------------------------------------------------------------------
+
+
+def test_beside_a_running_test_nothing_is_taken_for_damage(tmp_path):
+    """Looked at and copied between the strikes of every set, while sets move from the journal to files."""
+    settings = small_settings(schedule={**SMALL["schedule"], "end_h": 2.0})
+    data, copy, looked = tmp_path / "data", tmp_path / "copy", []
+
+    def look(key, acquired):
+        if (key.position, key.shot_index) == ("B", 1):
+            looked.append(verify_folder(data))
+            back_up(data, copy)
+            looked.append(verify_folder(copy))
+        return acquired
+
+    assert run(settings, data, rig=disturbed_rig(look))
+    assert [report.damage for report in looked] == [[]] * 8
+    assert [report.checked["sets_with_rows"] for report in looked[2:]] == [1, 1, 2, 2, 3, 3]
+    assert verify_folder(data).damage == []
+
+
+def test_verify_never_takes_the_recorders_lock_and_gives_way(folder, monkeypatch):
+    given = []
+    monkeypatch.setattr(command.os, "nice", given.append, raising=False)
+    with own_data_folder(folder):
+        assert solimon("verify", "--data-dir", folder)[0] == 0
+        assert given == [command.LOWEST_PRIORITY]
+    assert solimon("verify", "--data-dir", folder)[0] == 0
+    assert len(given) == 1
+
+
+def test_repair_does_nothing_beside_a_recorder(folder, monkeypatch):
+    def owned(_folder):
+        raise BusyError("another recorder owns it")
+
+    monkeypatch.setattr(command, "own_data_folder", owned)
+    assert solimon("repair", "--apply", "--data-dir", folder)[0] == 5
+    assert solimon("repair", "--data-dir", folder)[0] == 0
+
+
+READS = """
+import sys
+import daq_service.web.app, daq_service.web.server
+
+print(*(name for name in ("pandas", "scipy", *%r) if name in sys.modules))
+
+from pathlib import Path
+from fastapi.testclient import TestClient
+from daq_service.cli.maintenance.verify import verify_folder
+from daq_service.processes.data_folder import settings_of_folder
+from daq_service.web.app import create_app
+
+settings, folder = settings_of_folder(None, Path(sys.argv[1]))
+with TestClient(create_app(settings, folder)) as client:
+    for path in ("info", "sets", "features", "verdicts", "waveforms/B/1/1", "transducers/B"):
+        assert client.get(f"/api/v1/{path}", headers={"Host": "127.0.0.1"}).status_code == 200, path
+assert verify_folder(folder).damage == []
+print(*(name for name in %r if name in sys.modules))
+"""
+
+
+def test_neither_readers_nor_the_web_service_load_compiler_plots_or_drivers(folder):
+    heavy = ("numba", "llvmlite", "matplotlib", "nidaqmx", "niscope", "nitclk", "grpc", "nptdms", "serial")
+    done = subprocess.run(
+        [sys.executable, "-c", READS % (heavy, heavy), folder], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
+
+
+# repair --------------------------------------------------------------------------------------------
+
+
+def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(folder, tmp_path):
+    copy = tmp_path / "copy"
+    back_up(folder, copy)
+    contents = {index: (folder / file).read_bytes() for index, file in FILES.items()}
+    hit_a_record(folder, 0)
+    (folder / FILES[1]).unlink()
+    (folder / "sets" / "half.tmp").write_text("half")
+    before = state_of(folder)
+    code, said = solimon("repair", "--data-dir", folder, "--from", copy)
+    assert (code, said["applied"], state_of(folder) == before) == (4, False, True)
+    does = {step["file"]: step["does"] for step in said["steps"]}
+    assert does == {"sets/half.tmp": "remove", FILES[0]: "from_backup", FILES[1]: "from_backup"}
+    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, said["damage"]) == (0, [])
+    assert {index: (folder / file).read_bytes() for index, file in FILES.items()} == contents
+    assert [path.name for path in (folder / "quarantine").iterdir()] == [Path(FILES[0]).name]
+    assert not (folder / "sets" / "half.tmp").exists()
+
+
+def test_repair_without_another_copy_leaves_what_can_be_read(folder, tmp_path):
+    hit_a_record(folder, 0)
+    (folder / FILES[1]).unlink()
+    code, said = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+    assert (folder / FILES[0]).exists()
+    copy = tmp_path / "copy"
+    (copy / "sets").mkdir(parents=True)
+    shutil.copy(folder / FILES[0], copy / FILES[0])  # damaged, too
+    shutil.copy(folder / FILES[2], copy / FILES[1])  # another set
+    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+
+
+def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside(folder):
+    record = FolderSetReader(folder).read_set(FILES[2])
+    content = (folder / FILES[2]).read_bytes()
+    (folder / FILES[2]).unlink()
+    with closing(FolderArchive(folder)) as archive:
+        archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={})
+        for item in record.records:
+            archive.append(item, item.stamp.utc_ns)
+        archive.store_set(record)
+    assert kinds(folder) == []
+    (folder / FILES[2]).write_bytes(content[:1000])
+    code, said = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in said["steps"]]) == (0, ["from_journal"])
+    assert (folder / FILES[2]).read_bytes() == content
+    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+        change(folder, f"DELETE FROM {table} WHERE set_index = 2")
+    segment_path(folder, 1).unlink()
+    (folder / FILES[2]).write_bytes(content[:1000])
+    code, said = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in said["steps"]]) == (0, ["set_aside"])
+    assert not (folder / FILES[2]).exists()
+
+
+# backup --------------------------------------------------------------------------------------------
+
+
+def test_a_backup_is_whole_incremental_and_opens_elsewhere(folder, tmp_path):
+    copy, before = tmp_path / "copy", state_of(folder)
+    code, said = solimon("backup", copy, "--data-dir", folder)
+    assert (code, said["present"]) == (0, 0)
+    assert rows_of(copy) == rows_of(folder)
+    assert not {"recorder.lock", "heartbeat.json", "live"} & {path.name for path in copy.iterdir()}
+    assert solimon("verify", "--data-dir", copy)[1]["damage"] == []
+    kept = state_of(copy)
+    code, said = solimon("backup", copy, "--data-dir", folder)
+    assert (code, said["files"], said["present"]) == (0, 0, SETS)
+    again = state_of(copy)
+    assert {name: again[name] for name in FILES.values()} == {name: kept[name] for name in FILES.values()}
+    code, said = solimon("status", "--data-dir", copy)
+    assert (code, said["counts"]["sets"], said["lost"]) == (0, SETS, {})
+    assert said["recorder"].startswith("finished")
+    assert {name: state_of(folder)[name] for name in before} == before
+
+
+def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.txt").write_text("all of it")
+    for place, why in (
+        (folder / "copy", "lie within each other"),
+        (tmp_path, "lie within each other"),
+        (folder, "lie within each other"),
+        (foreign, "is not empty and no backup"),
+    ):
+        code, said = solimon("backup", place, "--data-dir", folder)
+        assert (code, why in said) == (4, True), said
+    assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
+    copy = tmp_path / "copy"
+    back_up(folder, copy)
+    change(folder, "UPDATE experiment SET created_utc_ns = 1")
+    with pytest.raises(StorageError, match="a backup of another test"):
+        back_up(folder, copy)
+    lay_out(folder)
+    (copy / "recorder.lock").touch()
+    with pytest.raises(StorageError, match="no copy since"):
+        back_up(folder, copy)
+
+
+def test_an_interrupted_backup_leaves_the_one_before_and_goes_on(folder, tmp_path, monkeypatch):
+    """The disk is full at each write in turn."""
+    copy, real = tmp_path / "copy", backup.write_durably
+    for refused in range(1, 2 + SETS):
+        calls = []
+
+        def full(path, content, *, temporary, calls=calls, refused=refused):
+            calls.append(path)
+            if len(calls) == refused:
+                temporary.write_bytes(content[:10])
+                raise OSError(28, "No space left on device")
+            return real(path, content, temporary=temporary)
+
+        monkeypatch.setattr(backup, "write_durably", full)
+        with pytest.raises(StorageUnavailableError, match="No space left on device"):
+            back_up(folder, copy)
+        assert not (copy / "catalogue.sqlite").exists()
+        shutil.rmtree(copy) if refused % 2 else None
+    monkeypatch.undo()
+    back_up(folder, copy)
+    assert verify_folder(copy).damage == []
+    assert [path.name for path in copy.rglob("*.tmp")] == []
+    assert rows_of(copy) == rows_of(folder)
+
+
+def test_what_does_not_read_back_as_it_was_written_is_not_kept(folder, tmp_path, monkeypatch):
+    real = backup.write_durably
+
+    def changed(path, content, *, temporary):
+        return real(path, content[:-1] if path.suffix == ".h5" else content, temporary=temporary)
+
+    monkeypatch.setattr(backup, "write_durably", changed)
+    with pytest.raises(StorageUnavailableError, match="does not read as it was written"):
+        back_up(folder, tmp_path / "copy")
+    assert list((tmp_path / "copy").rglob("*.h5")) == []
+
+
+def test_a_damaged_file_never_replaces_a_good_copy_and_lies_in_the_quarantine_of_a_new_one(folder, tmp_path):
+    good, new = tmp_path / "good", tmp_path / "new"
+    back_up(folder, good)
+    hit_a_record(folder, 0)
+    back_up(folder, good)
+    assert verify_folder(good).damage == []
+    code, said = solimon("backup", new, "--data-dir", folder)
+    assert (code, [item["file"] for item in said["damage"]]) == (4, [FILES[0]])
+    assert kinds(new) == [("set_missing", FILES[0], None)]
+    assert [path.name for path in (new / "quarantine").iterdir()] == [Path(FILES[0]).name]
+
+
+def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
+    (folder / FILES[0]).write_bytes(b"")
+    for index in (1, 2):
+        (folder / FILES[index]).unlink()
+    copy = tmp_path / "copy"
+    code, said = solimon("backup", copy, "--data-dir", folder)
+    assert (code, said["ok"]) == (4, False)
+    told = [(item["kind"], item["file"]) for item in said["damage"]]
+    assert told == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
+    assert kinds(copy) == [("set_missing", FILES[index], None) for index in range(3)]
+
+
+def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
+    record = FolderSetReader(folder).read_set(FILES[2])
+    (folder / FILES[2]).unlink()
+    with closing(FolderArchive(folder)) as archive:
+        archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+        for item in record.records:
+            archive.append(item, item.stamp.utc_ns)
+        archive.store_set(record)
+        copy = tmp_path / "copy"
+        back_up(folder, copy)
+        assert verify_folder(copy).damage == []
+        assert FolderSetReader(copy).read_set(FILES[2]).set_index == 2
+        assert segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
+    with open_catalogue(folder) as catalogue:
+        compact_set(folder, 2, results=results_in(catalogue, 2))
+    with closing(FolderArchive(folder)) as archive:
+        archive.settle(2)
+    back_up(folder, copy)
+    assert list((copy / "journal").iterdir()) == []
+    assert verify_folder(copy).damage == []
+
+
+# What is gone is told without reading ---------------------------------------------------------------
+
+
+def test_lost_and_emptied_sets_are_told_by_status(folder):
+    with open_catalogue(folder) as catalogue:
+        assert lost_sets(folder, catalogue) == {}
+        (folder / FILES[0]).write_bytes(b"")
+        (folder / FILES[2]).unlink()
+        assert lost_sets(folder, catalogue) == {FILES[0]: "is empty", FILES[2]: "is missing"}
+        shutil.rmtree(folder / "sets")
+        assert set(lost_sets(folder, catalogue)) == set(FILES.values())
+    assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
+    assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
+
+
+@pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])
+def test_a_lost_catalogue_is_told_by_status_and_by_the_web_service(folder, left):
+    settings, _ = settings_of_folder(None, folder)
+    for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
+        (folder / name).unlink()
+    remedy = f"`solimon rebuild --data-dir {folder}` makes it again"
+    code, said = solimon("status", "--data-dir", folder)
+    assert (code, remedy in said, "is lost" in said) == (4, True, True)
+    with served(settings, folder) as service, service.client() as api:
+        answer = api.get("/readyz")
+        assert (answer.status_code, answer.json()["type"]) == (503, "urn:solimon:problem:catalogue-lost")
+        assert remedy in answer.json()["detail"]
+        rebuild(folder)
+        assert api.get("/readyz").status_code == 200
+
+
+def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(folder):
+    first, *_, newest = FILES.values()
+    with open_catalogue(folder) as catalogue:
+        n_positions = len(catalogue.positions_state())
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}
+        content, times_s = (folder / first).read_bytes(), (folder / newest).stat().st_mtime
+        (folder / first).write_bytes(b"")
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}, "an old one is not opened"
+        (folder / first).write_bytes(content)
+        (folder / newest).write_bytes(b"")
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
+        (folder / newest).write_bytes(content)
+        (folder / first).unlink()
+        for after_s, told in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
+            os.utime(folder / newest, (times_s, times_s))
+            os.utime(folder / "sets", (times_s + after_s, times_s + after_s))
+            assert lost_sets(folder, catalogue, newest_rows=n_positions) == told
+
+
+@pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
+def test_a_folder_of_an_earlier_version_is_looked_at_and_copied_as_it_is(tmp_path, commit):
+    folder = tmp_path / "data"
+    with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
+        archive.extractall(folder, filter="data")
+    before = state_of(folder)
+    report = verify_folder(folder)
+    assert (report.damage, report.checked["files"] > 0) == ([], True)
+    back_up(folder, tmp_path / "copy")
+    assert verify_folder(tmp_path / "copy").damage == []
+    assert state_of(folder) == before
+
+
+def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder, tmp_path):
+    back_up(folder, tmp_path / "copy")
+    settings, place = settings_of_folder(None, tmp_path / "copy")
+    assert (settings.schedule.shots_per_set, place) == (3, tmp_path / "copy")
+    assert settings_of_folder(None, tmp_path / "new")[0].schedule.shots_per_set != 3
+    with served(settings, place) as service, service.client() as client:
+        assert client.get("/api/v1/info").json()["schedule"]["shots_per_set"] == 3
+
+
+def test_a_person_reads_what_was_checked_and_each_damage_on_a_line(folder):
+    (folder / FILES[1]).unlink()
+    said = solimon_here("verify", "--data-dir", str(folder), env={})
+    lines = said.stdout.splitlines()
+    assert lines[0].startswith(f"set_missing        {FILES[1]}: rows point at it")
+    assert lines[-1] == "damage    1, named above"
+    assert any(line.startswith("checked   ") and line.endswith(" MB") for line in lines)
+    said = solimon_here("repair", "--data-dir", str(folder), env={})
+    assert said.stdout.startswith(f"nothing       {FILES[1]}: ")

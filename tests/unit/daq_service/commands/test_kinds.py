@@ -1,0 +1,226 @@
+"""One definition for each order: what forbids it, in the words of web and recorder."""
+
+from dataclasses import replace
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+from support.filled_folder import frozen_baseline
+
+from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
+from daq_service.commands.kinds import DeskOrder, Facts, Order
+from daq_service.commands.registry import KINDS, AnyOrder, parse_command
+from daq_service.errors import UsageError
+
+
+def facts(**values: object) -> Facts:
+    anything = {"can_skip_time": True, "held": "", "positions": ("B", "C"), "has_supply": True, "alarms": ()}
+    return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
+
+
+def alarm(
+    state: AlarmState, alarm_id: int = 7, position: str | None = "B", kind: str = "retired"
+) -> AlarmRow:
+    return AlarmRow(
+        id=alarm_id,
+        position=position,
+        kind=kind,
+        family="device",
+        severity="high",
+        state=state,
+        raised_utc_ns=0,
+        raised_h=0.0,
+        raised_set_index=0,
+        changed_utc_ns=0,
+        message="why",
+        proof={},
+    )
+
+
+def order(kind: str, **arguments: object) -> Order:
+    return parse_command(kind, "ann", arguments)
+
+
+ARGUMENTS: dict[str, dict[str, object]] = {
+    "acknowledge_alarm": {"alarm_id": 7},
+    "hold": {"note": "hands in the rig"},
+    "retire": {"position": "B"},
+    "reinstate": {"position": "C"},
+    "confirm": {"position": "B"},
+    "approve_baseline": {"position": "B"},
+    "renew_baseline": {"position": "B", "note": "coupled anew"},
+    "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
+    "unshelve_alarm": {"alarm_id": 9},
+    "take_out_of_service": {"alarm_id": 7, "reason": "sensor is being repaired"},
+    "return_to_service": {"alarm_id": 10},
+    "annotate": {"from_h": 1.0, "position": "A", "text": "couplant renewed"},
+    "withdraw_annotation": {"annotation_id": 3},
+}
+DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_doubted")
+NOTED = AnnotationRow(id=3, from_h=1.0, to_h=1.0, text="dropped a spanner", author="ben", written_utc_ns=0)
+SHELVED = replace(alarm("acknowledged", alarm_id=9, kind="wall_change"), suppressed="shelved")
+OUT_OF_SERVICE = replace(alarm("acknowledged", alarm_id=10, kind="thickness"), suppressed="out_of_service")
+OPEN = {
+    "alarms": [alarm("unacknowledged", position="C"), DOUBTED, SHELVED, OUT_OF_SERVICE],
+    "held": "",
+    "places": ("A", "B", "C"),
+    "annotations": [NOTED],
+    "baselines": {"B": frozen_baseline("B", state="proposed")},
+}
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_what_nothing_forbids_is_carried_out(kind: str) -> None:
+    held = "held by ben" if kind == "release" else ""
+    assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("word", ["finished", "stopped"])
+def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, word: str) -> None:
+    given = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = given.forbidden(facts(**OPEN, recorder=word))
+    if isinstance(given, DeskOrder):
+        assert refusal is None
+    else:
+        assert refusal is not None
+        assert refusal.detail == f"The recorder has {word}: nobody would carry this out."
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) -> None:
+    given = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = given.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    assert (refusal is None) == isinstance(given, DeskOrder)
+    if refusal is not None:
+        assert refusal.detail == "Nobody records this test: nobody would carry this out."
+
+
+@pytest.mark.parametrize(
+    ("kind", "state", "reason", "detail", "hint"),
+    [
+        (
+            "finish_now",
+            {"can_skip_time": False},
+            "the test runs on the wall clock, which cannot skip time",
+            "This test is not paced: it already runs as fast as its clock allows.",
+            "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
+        ),
+        (
+            "hold",
+            {"held": "held by ben"},
+            "the test is already on hold: held by ben",
+            "The test is already on hold: held by ben.",
+            "Release it first; a hold has one reason.",
+        ),
+        (
+            "release",
+            {},
+            "the test is not on hold",
+            "The test is not on hold.",
+            "Only a test on hold can be released.",
+        ),
+        (
+            "trust_clock",
+            {"alarms": [replace(DOUBTED, state="returned_unacknowledged")]},
+            "nobody doubts the system's clock",
+            "Nobody doubts the system's clock.",
+            "The alarm clock_doubted stands while it is doubted.",
+        ),
+        (
+            "retire",
+            {"alarms": [alarm("acknowledged")]},
+            "B is retired already",
+            "B is retired already: why.",
+            "Reinstate it when it is put right.",
+        ),
+        (
+            "retire",
+            {"positions": ()},
+            "there is no solitary-wave transducer 'B'; there are: none",
+            "There is no solitary-wave transducer 'B'.",
+            "There are: none.",
+        ),
+        (
+            "confirm",
+            {"alarms": [alarm("unacknowledged")]},
+            "B is retired",
+            "B is retired: why.",
+            "Reinstate it when it is put right.",
+        ),
+        (
+            "confirm",
+            {"held": "held by ben"},
+            "the test is on hold: held by ben",
+            "The test is on hold: held by ben.",
+            "Release it when nobody's hands are in the rig any more.",
+        ),
+        (
+            "reinstate",
+            {"alarms": [alarm("normal", position="C")]},
+            "C is not retired",
+            "C is not retired.",
+            "/api/v1/transducers tells which are, and why.",
+        ),
+        (
+            "supply_on",
+            {"has_supply": False},
+            "this test has no supply; configure [rig.supply]",
+            "This test has no supply.",
+            "Configure [rig.supply] and start the test anew.",
+        ),
+        (
+            "acknowledge_alarm",
+            {"alarms": [alarm("normal")]},
+            "alarm 7 is normal: there is nothing to acknowledge",
+            "Alarm 7 is normal: there is nothing to acknowledge.",
+            "Only alarms that are unacknowledged or returned_unacknowledged wait for an operator.",
+        ),
+        (
+            "acknowledge_alarm",
+            {"alarms": [alarm("unacknowledged", alarm_id=6)]},
+            "there is no current alarm 7",
+            "There is no alarm 7.",
+            "/api/v1/alarms lists them.",
+        ),
+    ],
+)
+def test_words_of_a_refusal(kind: str, state: dict[str, object], reason: str, detail: str, hint: str) -> None:
+    refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
+    assert refusal is not None
+    assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
+    assert refusal.missing == (reason == "there is no current alarm 7")
+
+
+def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
+    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    for kind in KINDS:
+        body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
+        assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
+
+
+def test_nobody_s_order_switches_the_supply_on() -> None:
+    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    with pytest.raises(ValidationError, match="author\n  Field required"):
+        web.validate_python({"kind": "supply_on"})
+    assert web.validate_python({"kind": "supply_off"}).author == "operator"
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "words"),
+    [
+        ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
+        ("retire", {}, "arguments.position: Field required"),
+        ("hold", {}, "arguments.note: Field required"),
+        ("hold", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
+        ("hold", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
+        ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
+        ("supply_on", {"voltage_v": True}, "arguments.voltage_v: Input should be a valid number"),
+        ("annotate", {"from_h": "1", "text": "x"}, "arguments.from_h: Input should be a valid number"),
+        ("acknowledge_alarm", {"alarm_id": True}, "arguments.alarm_id: Input should be a valid integer"),
+    ],
+)
+def test_what_is_no_order_is_refused_with_its_part(
+    kind: str, arguments: dict[str, object], words: str
+) -> None:
+    with pytest.raises(UsageError, match=words):
+        parse_command(kind, "ann", arguments)

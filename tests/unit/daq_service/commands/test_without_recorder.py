@@ -1,0 +1,159 @@
+"""Orders to a test that nobody records: done once in the recorder's place, or refused."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.new_experiment import new_catalogue
+
+from daq_service.alarms.states import Condition, Moment, update
+from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.history import HistoryFollower, read_history
+from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
+from daq_service.commands.kinds import DeskOrder, Facts, OrderRefusedError
+from daq_service.commands.registry import parse_command
+from daq_service.commands.without_recorder import carry_out_unattended
+from daq_service.errors import BusyError
+from daq_service.processes.data_folder import own_data_folder
+
+NOW = Moment(utc_ns=9_000, due_h=9.0, set_index=None)
+HOLE = Condition(
+    position="B", kind="hole", family="damage", severity="high", present=True, latched=True, message="a hole"
+)
+
+
+def ended_test(folder: Path) -> int:
+    """A folder with one alarm that waits, and nobody who records; the alarm's id."""
+    with new_catalogue(folder) as catalogue:
+        change = update(None, HOLE, Moment(utc_ns=5, due_h=5.0, set_index=1))
+        assert change is not None
+        transaction = Transaction()
+        transaction.add_alarm(change, Moment(utc_ns=5, due_h=5.0, set_index=1))
+        (alarm_id,) = catalogue.commit_set(transaction).alarm_ids
+        HistoryFollower(folder, catalogue).begin()
+    return alarm_id
+
+
+def facts(catalogue: Catalogue) -> Facts:
+    return Facts(
+        recorder="finished",
+        recorded=False,
+        can_skip_time=False,
+        held="",
+        positions=("B",),
+        has_supply=False,
+        alarms=catalogue.rows(AlarmRow),
+    )
+
+
+def acknowledge(folder: Path, alarm_id: int = 1) -> int:
+    order = parse_command("acknowledge_alarm", "ann", {"alarm_id": alarm_id, "note": "seen"})
+    assert isinstance(order, DeskOrder)
+    return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
+
+
+def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(tmp_path: Path) -> None:
+    order_id = acknowledge(tmp_path, ended_test(tmp_path))
+    with open_catalogue(tmp_path) as catalogue:
+        (alarm,), (order,) = catalogue.rows(AlarmRow), catalogue.rows(CommandRow)
+        events = catalogue.rows(EventRow)
+    assert (alarm.state, alarm.acknowledged_by, alarm.note) == ("acknowledged", "ann", "seen")
+    assert alarm.acknowledged_utc_ns == NOW.utc_ns
+    assert (order.id, order.state, order.result, order.author) == (order_id, "done", "acknowledged", "ann")
+    assert [row.kind for row in events] == ["alarm_raised", "alarm_acknowledged"]
+    history = read_history(tmp_path)
+    assert history.events == {row.id: row for row in events}
+    assert history.commands == {order_id: order}
+
+
+def test_what_is_forbidden_leaves_nothing_behind(tmp_path: Path) -> None:
+    alarm_id = ended_test(tmp_path)
+    acknowledge(tmp_path, alarm_id)
+    before = read_history(tmp_path).last_number
+    with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
+        acknowledge(tmp_path, alarm_id)
+    with pytest.raises(OrderRefusedError, match="no current alarm 7"):
+        acknowledge(tmp_path, 7)
+    with open_catalogue(tmp_path) as catalogue:
+        assert len(catalogue.rows(CommandRow)) == 1
+    assert read_history(tmp_path).last_number == before
+
+
+def test_a_recorder_that_has_come_meanwhile_is_not_disturbed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alarm_id = ended_test(tmp_path)
+    monkeypatch.setattr(
+        "daq_service.commands.without_recorder.own_data_folder",
+        lambda folder: own_data_folder(folder, patience_s=0.0),
+    )
+    with own_data_folder(tmp_path), pytest.raises(BusyError, match="owns"):
+        acknowledge(tmp_path, alarm_id)
+    with open_catalogue(tmp_path) as catalogue:
+        assert catalogue.rows(CommandRow) == []
+
+
+KILLED = """
+import os
+import sys
+from pathlib import Path
+import daq_service.catalogue.writer as writer
+import daq_service.commands.without_recorder as unattended
+from unit.daq_service.commands.test_without_recorder import acknowledge
+
+def dies(owner, name, *, after):
+    real = getattr(owner, name)
+    def dying(*arguments, **named):
+        if after:
+            real(*arguments, **named)
+        os._exit(9)
+    setattr(owner, name, dying)
+
+match sys.argv[2]:
+    case "with the lock": dies(unattended.HistoryFollower, "begin", after=False)
+    case "in the transaction": dies(writer, "stored_command", after=True)
+    case "before the history": dies(writer.RecorderCatalogue, "commit_set", after=True)
+acknowledge(Path(sys.argv[1]))
+"""
+"""No clean-up and no exception: what a SIGKILL leaves, on Windows too."""
+
+
+@pytest.mark.parametrize(
+    ("point", "done"),
+    [
+        ("with the lock", False),
+        ("in the transaction", False),
+        ("before the history", True),
+    ],
+)
+def test_whoever_is_killed_has_done_all_of_it_or_nothing(tmp_path: Path, point: str, done: bool) -> None:
+    alarm_id = ended_test(tmp_path)
+    tests = str(Path(__file__).parents[3])
+    path = os.pathsep.join(filter(None, [tests, os.environ.get("PYTHONPATH")]))
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path), point],
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert killed.returncode == 9, killed.stderr
+    with open_catalogue(tmp_path) as catalogue:
+        (alarm,), orders = catalogue.rows(AlarmRow), catalogue.rows(CommandRow)
+        events = catalogue.rows(EventRow)
+    assert alarm.state == ("acknowledged" if done else "unacknowledged")
+    assert [row.state for row in orders] == (["done"] if done else [])
+    assert len(events) == 1 + done
+    # Given again it is done once, all the same, and the history has every line.
+    if done:
+        with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
+            acknowledge(tmp_path, alarm_id)
+    else:
+        acknowledge(tmp_path, alarm_id)
+    with open_catalogue(tmp_path) as catalogue:
+        assert [row.kind for row in catalogue.rows(EventRow)] == ["alarm_raised", "alarm_acknowledged"]
+        assert read_history(tmp_path).events.keys() == {1, 2}
+        assert len(read_history(tmp_path).commands) == len(catalogue.rows(CommandRow)) == 1

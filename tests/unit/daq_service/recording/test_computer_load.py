@@ -1,0 +1,110 @@
+"""What a test costs its computer is kept with each set that was taken, and comes again with the history."""
+
+import sys
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from support.kept_folder import SETS as KEPT_SETS
+from support.kept_folder import lay_out
+from support.machine import Machine
+from support.memory_line import SETS, Line, healthy
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.rows import EventRow
+from daq_service.clock import SimulatedClock
+from daq_service.processes import resource_use as own_use
+from daq_service.processes.disk_policy import DiskSpace
+from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
+from daq_service.recording.cost import Cost
+from daq_service.recording.rebuild import rebuild
+from hardware_drivers.errors import AcquisitionTimeoutError
+
+NOW_NS = 1_800_000_000_000_000_000
+SPACE = DiskSpace(free_bytes=3, total_bytes=4, level="ample")
+told_by_the_system = pytest.mark.skipif(
+    sys.platform not in ("linux", "win32"), reason="this system tells neither memory nor handles"
+)
+
+
+def watch(clock=None, space=SPACE, **changes):
+    options = {"space": lambda: space, "files_read": lambda: 7, **changes}
+    return ComputerLoadWatch(clock or SimulatedClock(NOW_NS), **options)
+
+
+@told_by_the_system
+def test_files_that_are_opened_are_counted(tmp_path):
+    before = own_use.open_handles()
+    with ExitStack() as stack:
+        for number in range(5):
+            stack.enter_context((tmp_path / str(number)).open("w"))
+        assert own_use.open_handles() == before + 5
+
+
+@told_by_the_system
+def test_memory_that_is_written_is_counted():
+    n_bytes = 64 * 2**20
+    before = own_use.resident_bytes()
+    held = np.ones(n_bytes, dtype=np.uint8)
+    # Freed pages of what was there may be used again: never so many.
+    assert own_use.resident_bytes() - before > n_bytes // 2
+    assert held.any()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows is asked in another way")
+def test_where_the_system_does_not_tell_it_is_unknown_and_not_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(own_use, "_PROC", tmp_path / "not mounted")
+    assert (own_use.resident_bytes(), own_use.open_handles()) == (None, None)
+    before_a_look = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
+    told = watch(space=before_a_look).read(Cost())
+    unknown = {name for name, value in told.items() if value is None}
+    assert unknown == {
+        *("resident_bytes", "open_handles", "free_bytes", "total_bytes"),
+        *("clock_ahead_s", "clock_synchronised"),  # simulated time
+    }
+
+
+def test_stages_are_told_since_the_reading_before():
+    cost, its = Cost(), watch()
+    cost.seconds["judge_s"] = 1.5
+    assert its.read(cost)["stage_s"]["judge_s"] == 1.5
+    cost.seconds["judge_s"] = 1.75
+    told = its.read(cost)
+    assert (told["stage_s"]["judge_s"], told["stage_s"]["fsync_s"]) == (0.25, 0.0)
+    assert (told["free_bytes"], told["total_bytes"], told["files_read"]) == (3, 4, 7)
+
+
+def test_a_step_of_the_computer_s_clock_is_how_far_it_is_ahead_from_then_on():
+    machine = Machine(NOW_NS)
+    its = watch(machine.clock(None), system_ns=lambda: machine.utc_ns)
+    assert its.read(Cost())["clock_ahead_s"] == 0.0
+    machine.set_clock(1.0)
+    assert its.read(Cost())["clock_ahead_s"] == 3600.0
+
+
+def test_each_set_that_was_taken_has_one_reading_and_a_missed_one_none(tmp_path):
+    def script(key):
+        return AcquisitionTimeoutError("nothing triggered") if key.set_index == 3 else healthy(key)
+
+    line = Line(tmp_path, script=script)
+    assert line.run(machine=watch())
+    told = [row for row in line.rows("events") if row.topic == "machine"]
+    assert [row.set_index for row in told] == [index for index in range(SETS) if index != 3]
+    assert {row.kind for row in told} == {MACHINE_READ}
+    assert len({row.payload["recorder_wall_utc_ns"] for row in told}) == 1
+
+
+def test_a_catalogue_that_is_made_again_has_every_reading_as_it_was(tmp_path):
+    folder = lay_out(tmp_path / "data")
+
+    def kept():
+        with open_catalogue(folder) as catalogue:
+            return catalogue.rows(EventRow, topic="machine")
+
+    before = kept()
+    assert [row.set_index for row in before] == list(range(KEPT_SETS))
+    for name in (FILE_NAME, f"{FILE_NAME}-wal", f"{FILE_NAME}-shm"):
+        (folder / name).unlink(missing_ok=True)
+    rebuild(folder)
+    assert kept() == before

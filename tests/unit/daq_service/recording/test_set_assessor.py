@@ -1,0 +1,457 @@
+"""What is taken becomes rows and alarms in one transaction, and what a restart knows of it."""
+
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.memory_archive import MemoryArchive
+from support.memory_line import SETS, Line, healthy, memory_settings, silent
+from support.synthetic_records import Scene, waveform_of
+
+from analysis.statistics.named_limits import LIMITS
+from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.taken_set import due_of as due_of_record
+from daq_service.archive.errors import ArchiveReadError
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.errors import CatalogueWriteError
+from daq_service.clock import parse_utc
+from daq_service.recording.cost import Cost
+from daq_service.recording.set_assessor import SetAssessor
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.instruments import Echo, Rig
+from hardware_drivers.measurement import PLANNED_SETS, ShotKey, Waveform, in_order
+from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.electronics.transduction import counts_of
+from simulator.parameters.echo import EchoParameters
+
+
+@pytest.fixture
+def line(tmp_path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    return Line(folder)
+
+
+@pytest.fixture(autouse=True)
+def looks_back_in_small_steps(monkeypatch):
+    """A restart reads a year of sets in two looks: here even these few take more than one."""
+    monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", (1, 3, 7, None))
+
+
+class Drive:
+    """A corrosion drive that notes its trips and the rows that it is asked for."""
+
+    def __init__(self):
+        self.trips, self.rows = [], 0
+
+    def trip(self, reason, hour):
+        self.trips.append((reason, hour))
+
+    def add_row(self, transaction, due, moment):
+        self.rows += 1
+
+
+@contextmanager
+def ledger_of(line):
+    """A ledger that goes on where the line's last recorder stopped."""
+    with line.catalogue(writer=True) as catalogue:
+        line.epoch_ns(catalogue)
+        rig = Rig(kind="simulated", clock=None, striker=None, digitizer=None)
+        yield SetAssessor(line.settings, MemoryArchive(line.shelf), catalogue, rig, Cost())
+
+
+@contextmanager
+def recorded(line, count):
+    """A folder whose recorder judged so many sets, the records of all, and a ledger that goes on."""
+    line.run()
+    records = {record.set_index: (record, file) for file, record in line.shelf.sets.items()}
+    again = Line(line.folder.parent / "again", line.settings, line.script, line.shelf)
+    again.folder.mkdir()
+    with ledger_of(again) as ledger:
+        for index in range(count):
+            assess_set(ledger, again, *records[index])
+    with ledger_of(again) as ledger:
+        yield ledger, again, records
+
+
+def due_of(line, index):
+    return plan(line.settings.schedule.phases, parse_utc(line.settings.clock.epoch))[index]
+
+
+def assess_set(ledger, line, record, file):
+    features = {shot.sequence: line.features_of(shot) for shot in record.shots}
+    due = due_of_record(record) if record.set_index >= PLANNED_SETS else due_of(line, record.set_index)
+    ledger.commit(ledger.judged(due, record, file, features))
+
+
+def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
+        baseline={"hours": 8.0, "minimum_sets": 15},
+        alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
+    )
+    wall = {"B": 0.008, "C": 0.0, "D": 0.1}
+    line.script = lambda key: healthy(
+        key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
+    )
+    line.run()
+    expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
+    raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
+    assert [row.position for row in raised] == ["D", "B"]
+    assert raised[0].proof["chart"] > raised[0].proof["limit"]
+    assert raised[0].proof["rate_guaranteed"] is False
+    assert "not promised: 16 sets cannot show slow memory" in raised[0].message
+    assert [row.limits.keys() for row in expected["baselines"]] == [LIMITS.keys()] * 3
+    assert {row.readiness["why_not_guaranteed"][:7] for row in expected["baselines"]} == {"16 sets"}
+    assert [(row.state, row.approved_utc_ns is None) for row in expected["baselines"]] == [
+        ("approved", False)
+    ] * 3
+    again = Line(line.folder.parent / "again", line.settings, line.script)
+    again.folder.mkdir()
+    for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
+        with ledger_of(again) as ledger:  # a new one for every set
+            assess_set(ledger, again, record, f"sets/{record.set_index}")
+    assert {name: again.rows(name) for name in expected} == expected
+
+
+def renewing(line):
+    """A script in which a person renews B's baseline while set 17 is struck."""
+    asked = []
+
+    def script(key):
+        if key == ShotKey(position="B", set_index=17, shot_index=0) and not asked:
+            asked.append(key)
+            line.order("renew_baseline", position="B", note="coupled anew")
+        return healthy(key, shift=0.2 if key.position == "B" and key.set_index > 15 else 0.0)
+
+    return script
+
+
+def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
+        baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
+    )
+    line.listen_every_s, line.script = 0.0, renewing(line)
+    line.run()
+    first, second = line.rows("baselines", "B")
+    assert (first.id, first.name, first.state, first.last_set_index) == (2, "B-baseline-1", "retired", 14)
+    assert (second.id, second.name, second.state, second.n_sets) == (6, "B-baseline-2", "proposed", 15)
+    assert (second.first_set_index, second.last_set_index) == (18, 32)
+    tofs = [row.tof_pp_s for row in line.rows("features", "B") if row.shot_index is None]
+    assert second.mean[0] == pytest.approx(np.mean(tofs[18:33]), rel=1e-12)  # the same doubles, summed alike
+    assert (second.readiness["n"], second.readiness["advice"][:19]) == (15, "fewer than 48 sets:")
+    assessments = line.rows("verdicts", "B")
+    assert [row.set_index for row in assessments if row.in_baseline] == [*range(15), *range(18, 33)]
+    assert [row.outlier for row in assessments[15:18]] == [False, True, None], "16 by the baseline of before"
+    assert assessments[17].reason == "its baseline was retired before it was judged"
+    assert {(row.baseline_id, row.outlier) for row in assessments[33:]} == {(6, False)}
+    assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
+    stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
+    stopped.folder.mkdir()
+    script = renewing(stopped)
+    for set_index in (17, 20, 32, 34):  # before, while and after the successor is learnt
+        run_until(stopped, "D", set_index, script)
+    stopped.script = script
+    stopped.run()
+    for name in ("verdicts", "features", "baselines"):
+        assert stopped.rows(name) == line.rows(name)
+
+
+def remembered(line, monkeypatch, looks):
+    """What a restart knows of each transducer, and how many sets it read."""
+    read = []
+
+    def last_rows(self, kind, position, count, **filters):
+        rows = found(self, kind, position, count, **filters)
+        read.append(len(rows))
+        return rows
+
+    found = RecorderCatalogue.last_rows
+    monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", looks)
+    with monkeypatch.context() as patched, ledger_of(line) as ledger:
+        patched.setattr(RecorderCatalogue, "last_rows", last_rows)
+        with ledger_of(line):
+            pass
+        states = [ledger._assessors[name]._state for name in "BCD"]
+    known = [
+        (state.alarm, state.hole, state.poor_sets, [found.set_index for found in state.healthy])
+        for state in states
+    ]
+    return known, max(read)
+
+
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
+def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, monkeypatch, seed):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},
+        baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 2},
+        quality={"retire_after_sets": 0, "restrikes_per_set": 0},
+        alarms={"k": 2, "n": 3, "hole_shots": 3, "hole_sets": 30},
+    )
+
+    def script(key):
+        lot = np.random.default_rng([seed, ord(key.position), key.set_index // 3]).random()
+        if key.position == "A" or lot < 0.4 or key.set_index < 16:
+            return healthy(key)
+        return healthy(key, shift=0.5) if lot < 0.7 else silent("noisy") if lot < 0.85 else None
+
+    line.script = script
+    line.run()
+    expected, _ = remembered(line, monkeypatch, (None,))
+    assert remembered(line, monkeypatch, (2, 4, 9, None))[0] == expected
+    assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
+
+
+def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
+        baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
+        alarms={"k": 2, "n": 3},
+    )
+    # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
+    line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
+    line.run()
+    known, _ = remembered(line, monkeypatch, (4, None))
+    assert [alarm.active for alarm, *_ in known] == [True] * 3
+
+
+def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
+    line.run()
+    _, most = remembered(line, monkeypatch, (6, None))
+    assert most == 6
+
+
+def test_a_hole_trips_the_drive_at_once_and_once(line):
+    line.script = lambda key: silent() if key.position == "C" and key.set_index >= 3 else healthy(key)
+    with recorded(line, 3) as (ledger, again, records):
+        ledger.drive = drive = Drive()
+        assess_set(ledger, again, *records[3])
+        assert drive.trips == []
+        assess_set(ledger, again, *records[4])
+        ((reason, hour),) = drive.trips
+        assert "no reflected wave at C in 4 of 4 shots, 2 sets running" in reason
+        assert hour == 2.5
+        assert ledger.retired().keys() == {"C"}
+        assert drive.rows == 2
+
+
+def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
+    """A transfer that breaks off behind the incident wave leaves no reflected one either."""
+    random = np.random.default_rng(0)
+    volts = Scene(isw_v=1.0).volts() + 0.01 * random.standard_normal(13_000)
+    volts[3_000:] = 0.0
+    lost = waveform_of(volts)
+    line.script = lambda key: lost if key.position == "C" and key.set_index in (3, 4) else healthy(key)
+    with recorded(line, 3) as (ledger, again, records):
+        ledger.drive = drive = Drive()
+        for index in (3, 4):
+            assess_set(ledger, again, *records[index])
+        assert (drive.trips, ledger.retired()) == ([], {})
+    assert {row.kind for row in line.alarms()} == {"no_data"}
+
+
+def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
+    """Each shot is valid by itself, and all shots of the set are alike."""
+    residue = {"amplitude_ratio": 0.11, "isw_amplitude_v": 2.0, "isw_fwhm_s": 65e-6}
+
+    def script(key):
+        odd = key.position == "C" and key.set_index > 16
+        return replace(healthy(key), **residue) if odd else healthy(key)
+
+    line.script = script
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 9.5, "interval_h": 0.5}]}, baseline={"hours": 8.0}
+    )
+    line.run()
+    assert {(row.position, row.kind) for row in line.alarms()} == {("C", "hole")}
+
+
+def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
+    line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
+    with recorded(line, 2) as (ledger, again, records):
+        ledger.reinstated("D")
+        assess_set(ledger, again, *records[2])
+        assert "D" not in ledger.retired()
+
+
+def ended_after(position, set_index, stop, script, last_shot=3):
+    """A script that has the recorder stopped at the last strike of a transducer in a set."""
+
+    def told(key):
+        if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
+            stop.set()
+        return script(key)
+
+    return told
+
+
+def run_until(line, position, set_index, script):
+    stop, last_shot = threading.Event(), line.settings.schedule.shots_per_set - 1
+    line.script = ended_after(position, set_index, stop, script, last_shot)
+    assert not line.run(stop=stop)
+
+
+def test_a_restart_knows_that_a_transducer_was_reinstated(line):
+    def script(key):
+        return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
+
+    run_until(line, "C", 3, script)  # D retired after three poor sets: C's is the last strike
+    line.order("reinstate", position="D")
+    run_until(line, "D", 4, script)
+    line.script = script
+    line.run()
+    assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
+
+
+def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
+    def script(key):
+        if key.position != "B" or key.set_index not in (1, 2):
+            return healthy(key)
+        # In set 1 two of the three silent shots were struck again, and their repetitions count.
+        silences = key.attempt == 0 and key.shot_index < 3 if key.set_index == 1 else key.shot_index < 3
+        return silent() if silences else healthy(key)
+
+    run_until(line, "D", 1, script)
+    assert [shot.outcome for shot in line.rows("shots", "B")].count("superseded") == 2
+    line.script = script
+    line.run()
+    assert "B" not in {row.position for row in line.rows("alarms") if row.kind == "hole"}
+
+
+class ThinningWall:
+    """A pulse-echo unit over a wall that loses the same in every set; no scatter."""
+
+    echo = EchoParameters(
+        element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
+    )
+
+    def acquire(self, key, timeout_s):
+        calibration = echo_calibration(self.echo)
+        volts = echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
+        waveform = Waveform(
+            counts=counts_of(volts, calibration),
+            sample_rate_hz=1e8,
+            pretrigger_samples=0,
+            calibration=calibration,
+        )
+        return Echo(waveform=waveform, gain_db=30.0, offset_v=0.0, averages=16)
+
+
+def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
+    stop = threading.Event()
+    line.script = ended_after("D", 5, stop, healthy)
+    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    line.script = healthy
+    line.run(pulse_echo=ThinningWall())
+    lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
+    # 1e-6 m: a hundredth of a sample of the echo's carrier, twenty times below the loss of a set.
+    assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
+
+
+def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
+    stop = threading.Event()
+    line.script = ended_after("D", 5, stop, healthy)
+    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    line.script = healthy
+    for index in (0, 1):
+        (file,) = (file for file, record in line.shelf.sets.items() if record.set_index == index)
+        del line.shelf.sets[file]
+    line.run(pulse_echo=ThinningWall())
+    lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
+    # As without the loss: the times of the third set are those that the lost record gave it.
+    assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
+    assert "set 2 stands in for the reference of A" in caplog.text
+
+
+def test_a_start_that_cannot_read_the_first_record_now_takes_no_other(line, monkeypatch):
+    line.run(pulse_echo=ThinningWall())
+
+    def refused(archive, *_):
+        raise ArchiveReadError("too many open files")
+
+    monkeypatch.setattr(MemoryArchive, "read_waveform", refused)
+    with pytest.raises(ArchiveReadError, match="too many open files"):
+        line.run(pulse_echo=ThinningWall())
+
+
+def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):
+    line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
+    with recorded(line, 2) as (ledger, again, _):
+        alarm = ledger.alarms["D", "no_data"]
+        assert again.rows("alarms")[alarm.id - 1].kind == "no_data"
+        event = [row for row in again.rows("events") if row.kind == "alarm_raised"][-1]
+        assert event.payload["alarm_id"] == alarm.id
+
+
+def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
+    with recorded(line, 2) as (ledger, again, records):
+        before = {name: len(again.rows(name)) for name in ("sets", "shots", "features", "verdicts", "events")}
+        ledger_commit = RecorderCatalogue.commit_set
+
+        def refused(self, commit):
+            raise CatalogueWriteError("the disk is full")
+
+        monkeypatch.setattr(RecorderCatalogue, "commit_set", refused)
+        with pytest.raises(CatalogueWriteError):
+            assess_set(ledger, again, *records[2])
+        assert {name: len(again.rows(name)) for name in before} == before
+        monkeypatch.setattr(RecorderCatalogue, "commit_set", ledger_commit)
+
+
+def test_every_position_has_a_row_in_every_set(line):
+    line.order("retire", position="B")
+    line.script = lambda key: None if key.position == "A" and key.set_index == 1 else healthy(key)
+    line.run()
+    rows = line.rows("sets")
+    assert sorted((row.set_index, row.position) for row in rows) == [
+        (index, position) for index in range(SETS) for position in "ABCD"
+    ]
+    missed = rows[[(row.set_index, row.position) for row in rows].index((1, "A"))]
+    assert (missed.state, missed.n_missed, missed.cause) == (
+        "missed",
+        1,
+        "1 missed: no trigger at A",
+    )
+
+
+def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
+    lost = ConnectionLostError("the probe's board is gone")
+    line.script = lambda key: lost if key.position == "A" and key.set_index == 2 else healthy(key)
+    line.run()
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    assert alarm.raised_set_index == 2
+    assert "the probe's board is gone" in alarm.message
+    assert alarm.state == "returned_unacknowledged"
+
+
+def test_whoever_started_the_test_hears_of_gaps_and_alarms_once_they_are_stored(line):
+    def hole_at_c_and_nothing_once_at_d(key):
+        if (key.set_index, key.position) == (3, "D"):
+            return None  # no trigger
+        return silent() if key.position == "C" and key.set_index >= 5 else healthy(key)
+
+    line.script = hole_at_c_and_nothing_once_at_d
+    news = []
+
+    def tell(event, **values):
+        if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
+            news.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
+
+    line.run(tell=tell)
+    gap, alarm = news
+    assert gap[0] == "gap"
+    assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])
+    assert gap[1]["cause"] == line.rows("sets", "D")[3].cause
+    assert gap[3] == 4, "its row is stored before it is told"
+    row = line.alarms()[-1]
+    assert alarm[0] == "alarm"
+    assert alarm[1] == {
+        "change": "alarm_raised",
+        "hour": row.raised_h,
+        "severity": row.severity,
+        "message": row.message,
+    }
+    assert alarm[2] == len(line.alarms())

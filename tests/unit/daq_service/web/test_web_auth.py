@@ -1,0 +1,509 @@
+"""Who comes in: tokens, cookies, encryption, and what of it is ever told."""
+
+import logging
+import os
+import socket
+import ssl
+import sys
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import httpx
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import DEADLINE_S, served
+from support.waiting import until
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from daq_service.commands.audit import Audit, read_audit
+from daq_service.errors import StorageError, UsageError
+from daq_service.processes.line_file import newest_lines
+from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
+from daq_service.web.auth.middleware import LONGEST_WHY, MOST_WRONG, refuse_open_doors
+from daq_service.web.auth.tokens import KnownTokens, create_token, read_tokens, revoke_token
+from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
+
+TLS = Path(__file__).parents[3] / "fixtures" / "tls"
+ENCRYPTED = {"tls_certificate": str(TLS / "certificate.pem"), "tls_key": str(TLS / "key.pem")}
+HOLD = {"kind": "hold", "author": "mallory", "arguments": {"note": "hands in the rig"}}
+DUE = "/api/v1/info"
+
+
+@pytest.fixture
+def filled(tmp_path):
+    folder = FilledFolder(tmp_path, Settings())
+    folder.add_set(0, stored=False, shown=True)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture
+def tokens(tmp_path):
+    return tmp_path / "tokens.json"
+
+
+def deeds(folder, **wanted):
+    """Of the audit, the oldest first."""
+    found = [deed for _, deed in reversed(read_audit(folder, limit=1000)[0])]
+    return [deed for deed in found if all(getattr(deed, key) == value for key, value in wanted.items())]
+
+
+# Tokens in their file
+
+
+def test_a_token_is_kept_as_its_hash_for_its_owner_only(tokens):
+    token, text = create_token(tokens, "ann", "operator", days=2.0)
+    assert len(text) == 43
+    assert text not in tokens.read_text(encoding="utf-8")
+    assert read_tokens(tokens) == (token,)
+    assert token.state == "valid"
+    if sys.platform != "win32":
+        assert tokens.stat().st_mode & 0o777 == 0o600
+
+
+def test_names_are_unique_while_they_open(tokens):
+    create_token(tokens, "ann", "viewer")
+    with pytest.raises(UsageError, match="ann has a token; revoke it first"):
+        create_token(tokens, "ann", "admin")
+    assert revoke_token(tokens, "ann").state == "revoked"
+    with pytest.raises(UsageError, match="no token 'ann' to revoke; there are: none"):
+        revoke_token(tokens, "ann")
+    assert create_token(tokens, "ann", "admin")[0].role == "admin"
+    assert len(read_tokens(tokens)) == 1
+    with pytest.raises(UsageError, match="no name of a token"):
+        create_token(tokens, "../ann", "admin")
+
+
+def test_a_running_service_follows_the_file_and_shuts_when_it_is_gone(tokens):
+    now_s = [0.0]
+    known = KnownTokens(tokens, mono_s=lambda: now_s[0])
+    assert not known.asked_for
+    _, text = create_token(tokens, "ann", "viewer")
+    now_s[0] += 2.0
+    assert known.asked_for
+    assert known.find(text).name == "ann"
+    assert known.find(text[:-1]) is None
+    for change in (lambda: revoke_token(tokens, "ann"), tokens.unlink, lambda: tokens.write_text("{")):
+        change()
+        now_s[0] += 2.0
+        assert known.asked_for, "no change of the file opens the doors"
+        assert not known.still_opens("ann", "viewer")
+    with pytest.raises(StorageError, match="no file of access tokens"):
+        read_tokens(tokens)
+
+
+# Coming in
+
+
+def test_without_a_token_all_stays_open_under_the_name_that_is_claimed(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        assert api.get("/api/v1/session").json()["role"] == "claimed"
+        assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "mallory"
+        assert api.post("/api/v1/tokens", json={"name": "ann", "role": "admin"}).status_code == 409
+        (row,) = [row for row in api.get("/api/v1/audit").json()["items"] if row["what"] == "hold"]
+    assert (row["who"], row["role"], row["result"], row["source"]) == (
+        "mallory",
+        "claimed",
+        "accepted",
+        "127.0.0.1",
+    )
+    assert row["outcome"] == "pending"
+
+
+def test_with_a_token_the_name_is_the_token_s(filled, tokens):
+    _, text = create_token(tokens, "ann", "operator")
+    with (
+        served(filled.settings, filled.folder) as service,
+        service.client(Authorization=f"Bearer {text}") as api,
+    ):
+        assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "ann"
+        refused = api.post("/api/v1/commands", json={"kind": "stop"})
+        assert (refused.status_code, refused.json()["type"]) == (403, "urn:solimon:problem:role-too-low")
+        assert "stop needs the role engineer; ann is operator" in refused.text
+    (held,) = deeds(filled.folder, what="hold")
+    assert (held.who, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
+    (stopped,) = deeds(filled.folder, what="stop")
+    assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
+
+
+def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
+    _, text = create_token(tokens, "ann", "viewer")
+    with served(filled.settings, filled.folder) as service, service.client() as page:
+        assert page.get("/").status_code == page.get("/healthz").status_code == 200
+        assert page.get("/api/v1/session").json() == {
+            "token_needed": True,
+            "name": None,
+            "role": None,
+            "may": [],
+        }
+        refused = page.get(DUE)
+        assert (refused.status_code, refused.headers["www-authenticate"]) == (401, "Bearer")
+        assert page.post("/api/v1/session", json={"token": "x"}).status_code == 401
+        entered = page.post("/api/v1/session", json={"token": text})
+        assert (entered.json()["name"], entered.json()["role"]) == ("ann", "viewer")
+        cookie = entered.headers["set-cookie"]
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+        assert "Secure" not in cookie, "it is http on loopback"
+        assert page.get(DUE).status_code == 200
+        assert page.delete("/api/v1/session").json()["name"] is None
+        assert page.get(DUE).status_code == 401
+    assert [(deed.what, deed.who, deed.result) for deed in deeds(filled.folder)] == [
+        ("log_in", "", "refused"),
+        ("log_in", "ann", "done"),
+        ("log_out", "ann", "done"),
+    ]
+
+
+@pytest.mark.parametrize("how", ["revoked", "expired"])
+def test_a_token_that_opens_no_more_is_refused_by_its_name(filled, tokens, how):
+    _, text = create_token(tokens, "ann", "admin", days=1e-6 if how == "expired" else None)
+    if how == "revoked":
+        revoke_token(tokens, "ann")
+    with (
+        served(filled.settings, filled.folder) as service,
+        service.client(Authorization=f"Bearer {text}") as api,
+    ):
+        answer = api.get(DUE)
+    assert answer.status_code == 401
+    assert f"The token of ann is {how}." in answer.text
+
+
+def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled, tokens):
+    _, text = create_token(tokens, "ann", "viewer")
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        answers = [api.get(DUE, headers={"Authorization": "Bearer x"}) for _ in range(MOST_WRONG + 5)]
+        assert [answer.status_code for answer in answers[:MOST_WRONG]] == [401] * MOST_WRONG
+        assert 429 in {answer.status_code for answer in answers}
+        assert answers[-1].headers["retry-after"]
+        assert api.get(DUE, headers={"Authorization": f"Bearer {text}"}).status_code == 200
+
+
+def test_a_token_is_never_told(filled, tokens, caplog):
+    """Neither in an answer, nor in the log, the audit or the file of hashes; and a URL opens nothing."""
+    caplog.set_level(logging.DEBUG)
+    _, text = create_token(tokens, "ann", "viewer")
+    wrong = "w" * 43
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        answers = [
+            api.get(f"{DUE}?token={text}"),
+            api.get(f"/api/v1/alarms/{text}", headers={"Authorization": f"Bearer {wrong}"}),
+            api.get(DUE, headers={"Authorization": f"Basic {text}"}),
+            api.post("/api/v1/session", json={"token": wrong}),
+            api.post("/api/v1/session", json={"token": text, "more": text}),
+            api.post("/api/v1/commands", json=HOLD, headers={"Cookie": f"solimon={text}"}),
+        ]
+    assert [answer.status_code for answer in answers] == [401, 401, 401, 401, 422, 401]
+    ours = [record for record in caplog.records if not record.name.startswith(("httpx", "httpcore"))]
+    told = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
+    told += "".join(record.getMessage() for record in ours)
+    for path in filled.folder.rglob("*.json*"):
+        told += path.read_text(encoding="utf-8")
+    assert text not in told
+    assert wrong not in told
+
+
+def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
+    monkeypatch.setattr("daq_service.web.auth.tokens.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("daq_service.web.routes.waveforms.LOOK_AT_TOKEN_S", 0.05)
+    _, text = create_token(tokens, "ann", "viewer")
+    bearer = {"Authorization": f"Bearer {text}"}
+    with served(filled.settings, filled.folder) as service, service.client(**bearer) as api:
+        service.app.state.context.hub.heartbeat_interval_s = 0.05
+        address = f"ws://{service.netloc}/api/v1/waveforms/live?positions=B"
+        with pytest.raises(InvalidStatus):
+            connect(address).close()
+        with (
+            connect(address, additional_headers=bearer) as pictures,
+            api.stream("GET", "/api/v1/stream") as events,
+        ):
+            assert pictures.recv(timeout=DEADLINE_S)
+            revoke_token(tokens, "ann")
+            filled.add_set(1, stored=False)
+            assert events.read().endswith(b"event: bye\ndata: {}\n\n")
+            until(lambda: pictures.protocol.close_rcvd, "the waveforms ending, too")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../tokens.json",
+        "%2e%2e/tokens.json",
+        "..%2f..%2ftokens.json",
+        "..%5c..%5ctokens.json",
+        "/etc/passwd",
+        "%2fetc%2fpasswd",
+        "main.js%00.css",
+        "NUL",
+        "con.js",
+        "C:%5ctokens.json",
+    ],
+)
+def test_no_path_leads_out_of_the_page_s_files(filled, tokens, path):
+    create_token(tokens, "ann", "viewer")
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        answer = api.get(httpx.URL(f"{service.url}static/{path}"))
+    assert answer.status_code in {400, 401, 404}
+    assert "sha256" not in answer.text
+
+
+def test_an_oversized_cookie_is_refused(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        answer = api.get(DUE, headers={"Cookie": "solimon=" + "c" * LARGEST_HEADERS_BYTES})
+    assert answer.status_code == 431
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"), [({"Host": "evil.example"}, 400), ({"Origin": "http://evil.example"}, 403)]
+)
+def test_a_token_does_not_open_to_a_foreign_host_or_origin(filled, tokens, headers, status):
+    _, text = create_token(tokens, "ann", "admin")
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        bearer = {"Authorization": f"Bearer {text}"}
+        assert api.post("/api/v1/commands", json=HOLD, headers=bearer | headers).status_code == status
+        assert api.post("/api/v1/commands", json=HOLD, headers=bearer).status_code == 202
+
+
+def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
+    _, text = create_token(tokens, "ann", "admin")
+    with (
+        served(filled.settings, filled.folder) as service,
+        service.client(Authorization=f"Bearer {text}") as api,
+    ):
+        made = api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"})
+        assert made.status_code == 201
+        assert api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"}).status_code == 409
+        bob = {"Authorization": f"Bearer {made.json()['token']}"}
+        until(lambda: api.get(DUE, headers=bob).status_code == 200, "the new token being known")
+        assert api.delete("/api/v1/tokens/bob").json()["state"] == "revoked"
+        assert "sha256" not in api.get("/api/v1/tokens").text
+        first = api.get("/api/v1/audit?limit=1").json()
+        rest = api.get("/api/v1/audit", params={"limit": 99, "cursor": first["next_cursor"]}).json()
+    told = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
+    assert told == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
+
+
+# Others than this machine
+
+
+@pytest.fixture
+def far(filled, tokens):
+    """A service with TLS under a name of its own."""
+    web = {"host_names": ["lab.example.org"], **ENCRYPTED}
+    _, text = create_token(tokens, "ann", "operator")
+    with served(Settings(web=web), filled.folder) as service:
+        yield service, f"https://127.0.0.1:{service.netloc.rpartition(':')[2]}", text
+
+
+def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
+    service, url, text = far
+    assert service.url.startswith("https://lab.example.org:")
+    trusted = ssl.create_default_context(cafile=ENCRYPTED["tls_certificate"])
+    with httpx.Client(base_url=url, verify=trusted, timeout=DEADLINE_S) as api:
+        api.headers["Host"] = "lab.example.org"
+        entered = api.post("/api/v1/session", json={"token": text})
+        cookie = entered.headers["set-cookie"]
+        assert cookie.startswith("__Host-solimon-")
+        assert {"Secure", "HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+        api.headers["Cookie"] = cookie.partition(";")[0]
+        assert api.get(DUE).status_code == 200
+        assert api.get(DUE, headers={"Host": "evil.example"}).status_code == 400
+        origin = {"Origin": "https://lab.example.org"}
+        assert api.post("/api/v1/commands", json=HOLD, headers=origin).status_code == 202
+        origin = {"Origin": "https://evil.example"}
+        assert api.post("/api/v1/commands", json=HOLD, headers=origin).status_code == 403
+
+
+def test_plain_http_at_the_tls_port_gets_nothing_and_hurts_nobody(far, caplog):
+    _, url, text = far
+    host, port = url.removeprefix("https://").split(":")
+    with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as plain:
+        plain.sendall(
+            f"GET {DUE} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {text}\r\n\r\n".encode()
+        )
+        try:
+            answer = b"".join(iter(lambda: plain.recv(4096), b""))
+        except ConnectionResetError:
+            answer = b""
+    assert b"HTTP" not in answer
+    assert httpx.get(f"{url}/healthz", verify=False, timeout=DEADLINE_S).status_code == 200
+    assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
+
+
+def test_a_handshake_that_never_ends_is_ended(filled, tokens, monkeypatch):
+    create_token(tokens, "ann", "viewer")
+    monkeypatch.setattr("daq_service.web.server.HANDSHAKE_WITHIN_S", 0.2)
+    web = {"host_names": ["lab.example.org"], **ENCRYPTED}
+    with served(Settings(web=web), filled.folder) as service:
+        port = int(service.netloc.rpartition(":")[2])
+        # Less than the minute that asyncio would wait by itself; a reset is an end, too.
+        with (
+            socket.create_connection(("127.0.0.1", port), timeout=DEADLINE_S / 2) as silent,
+            suppress(ConnectionResetError),
+        ):
+            assert silent.recv(1) == b""
+
+
+def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens):
+    _, text = create_token(tokens, "ann", "viewer")
+    web = {"host_names": ["lab.example.org"], "proxy": "127.0.0.1"}
+    forwarded = {"Host": "lab.example.org", "X-Forwarded-For": "10.1.2.3", "Authorization": f"Bearer {text}"}
+    with served(Settings(web=web), filled.folder) as service, service.client() as api:
+        assert api.get(DUE, headers=forwarded | {"X-Forwarded-Proto": "https"}).status_code == 200
+        plain = api.get(DUE, headers=forwarded)
+        assert (plain.status_code, plain.json()["type"]) == (403, "urn:solimon:problem:not-encrypted")
+        local = {"Host": "127.0.0.1", "Authorization": f"Bearer {text}"}
+        assert api.get(DUE, headers=local).status_code == 200
+        wrong = forwarded | {"X-Forwarded-Proto": "https", "Authorization": "Bearer x"}
+        assert api.get(DUE, headers=wrong).status_code == 401
+    assert [deed.source for deed in deeds(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
+
+
+def test_without_a_stated_proxy_nobody_is_believed_who_asks(filled, tokens):
+    create_token(tokens, "ann", "viewer")
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        api.get(DUE, headers={"X-Forwarded-For": "10.1.2.3", "Authorization": "Bearer x"})
+    assert [deed.source for deed in deeds(filled.folder)] == ["127.0.0.1"]
+
+
+def test_doors_without_locks_are_refused_at_the_start(tmp_path, tokens):
+    web = WebSettings(host="0.0.0.0", host_names=("lab.example.org",), **ENCRYPTED)
+    with pytest.raises(UsageError, match=r"holds no valid access token.*solimon token create") as refused:
+        refuse_open_doors(web, tmp_path)
+    assert refused.value.exit_code == 2
+    create_token(tokens, "ann", "viewer")
+    refuse_open_doors(web, tmp_path)
+    broken = web.model_copy(update={"tls_key": ENCRYPTED["tls_certificate"]})
+    with pytest.raises(UsageError, match="cannot be used"):
+        refuse_open_doors(broken, tmp_path)
+
+
+# The audit
+
+
+def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tmp_path):
+    now_s = [0.0]
+    audit = Audit(tmp_path, mono_s=lambda: now_s[0])
+    stranger = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter"}
+    for _ in range(150):
+        audit.tell(**stranger, result="refused")
+    audit.tell(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
+    found = deeds(tmp_path)
+    assert len(found) == 101
+    assert (found[-1].who, found[-1].left_out) == ("ann", 50)
+    now_s[0] += 121.0
+    audit.tell(**stranger, result="refused")
+    audit.tell(**stranger, result="refused")
+    assert len(deeds(tmp_path)) == 102
+
+
+def test_a_torn_line_takes_no_other_with_it(tmp_path):
+    audit = Audit(tmp_path)
+    ann = {"who": "ann", "role": "admin", "source": "terminal", "what": "hold", "result": "accepted"}
+    audit.tell(**ann)
+    with (tmp_path / "audit.jsonl").open("ab") as file:
+        file.write(b'{"crc32":"0000')
+    audit.tell(**ann)
+    found, before = read_audit(tmp_path, limit=10)
+    assert ([number for number, _ in found], before) == ([2, 1], None)
+
+
+def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
+    audit = Audit(tmp_path)
+    for number in range(25):
+        audit.tell(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
+    seen, end = [], None
+    while True:
+        page, end = read_audit(tmp_path, limit=7, end=end)
+        seen += [number for number, _ in page]
+        if end is None:
+            break
+    assert seen == list(range(25, 0, -1))
+
+
+@pytest.fixture
+def audited(tmp_path):
+    """25 deeds at one second each, from 2024-01-01T00:00:00Z: a hold and a stop in turns, of two people."""
+    audit = Audit(tmp_path)
+    for number in range(25):
+        audit.tell(
+            who=("ann", "ben")[number % 3 == 0],
+            role="admin",
+            source="terminal",
+            what=("hold", "stop")[number % 2],
+            result="accepted",
+            utc_ns=1_704_067_200_000_000_000 + number * 1_000_000_000,
+        )
+    with served(Settings(), tmp_path) as service, service.client() as api:
+        yield api
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ({"who": "ben"}, range(0, 25, 3)),
+        ({"what": "hold"}, range(0, 25, 2)),
+        ({"what": "hold,stop", "who": "ann"}, [n for n in range(25) if n % 3]),
+        ({"result": "refused"}, []),
+        ({"from_utc": "2024-01-01T00:00:03Z", "to_utc": "2024-01-01T01:00:07+01:00"}, range(3, 7)),
+        ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
+    ],
+)
+def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkeypatch, query, found):
+    monkeypatch.setattr("daq_service.commands.audit.newest_lines", partial(newest_lines, most_lines=7))
+    seen, cursor = [], {}
+    while True:
+        page = audited.get("/api/v1/audit", params={**query, "limit": 4, **cursor}).json()
+        seen += [item["id"] - 1 for item in page["items"]]
+        assert len(page["items"]) <= 4
+        if page["next_cursor"] is None:
+            break
+        cursor = {"cursor": page["next_cursor"]}
+    assert seen == sorted(found, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ({"what": "hold,explode"}, "what names 'explode'"),
+        ({"result": "maybe"}, "query /result"),
+        ({"from_utc": "2024-01-01T00:00:00"}, "query /from_utc"),
+        ({"to_utc": "1704067200"}, "give a time with its offset, such as 2024-01-01T00:00:00Z"),
+        ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
+    ],
+)
+def test_a_filter_of_the_audit_that_means_nothing_is_refused(audited, query, words):
+    answer = audited.get("/api/v1/audit", params=query)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
+
+
+def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, tokens):
+    _, text = create_token(tokens, "ann", "operator")
+    bearer = {"Authorization": f"Bearer {text}"}
+    foreign = {"Host": f"{'evil.' * 200}example"}
+    with served(filled.settings, filled.folder) as service, service.client(**bearer) as api:
+        assert api.post("/api/v1/commands", json={"kind": text}).status_code == 422
+        assert api.get("/api/v1/sets?limit=0").status_code == 422, "only writes are audited"
+        assert api.get(DUE, headers=foreign).status_code == 400
+        assert api.post("/api/v1/commands", json=HOLD, headers={"Origin": "http://x"}).status_code == 403
+        with pytest.raises(InvalidStatus):
+            connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin="http://x").close()
+    invalid, host, *origins = deeds(filled.folder)
+    assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
+    assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
+    assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_WHY)
+    assert ["Origin is 'http://x'" in deed.why for deed in origins] == [True, True]
+    assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
+
+
+def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch, caplog):
+    def refuse(*_):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        assert api.post("/api/v1/commands", json=HOLD).status_code == 202
+    assert "not in audit.jsonl: hold accepted mallory" in caplog.text

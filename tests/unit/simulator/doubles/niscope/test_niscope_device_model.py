@@ -1,0 +1,410 @@
+"""NI-SCOPE's rules and the twin's echo, asked of the brain itself."""
+
+import struct
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.waiting import WAIT_S, ended
+
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles.chassis.description import ProbeWiring
+from simulator.doubles.chassis.scopes import ScopeParameters
+from simulator.doubles.niscope.device_model import NiscopeBrain
+from simulator.doubles.vendor_api.niscope_entry_points import WAVEFORM_INFO
+from simulator.doubles.vendor_api.niscope_statuses import (
+    ACQUISITION_IN_PROGRESS,
+    ADC_OVERLOAD_WARNING,
+    ALREADY_IN_USE,
+    ATTRIBUTE_NOT_SUPPORTED,
+    HARDWARE_FAILURE,
+    INITIATE_NOT_CALLED,
+    INSUFFICIENT_MEMORY,
+    INVALID_SESSION,
+    INVALID_VALUE,
+    MAX_TIME_EXCEEDED,
+    MESSAGES,
+    UNKNOWN_CHANNEL,
+    UNKNOWN_RESOURCE,
+)
+from simulator.doubles.vendor_api.statuses import Status
+from simulator.electronics.transduction import counts_of
+from simulator.parameters.electronics import NoiseParameters
+from simulator.parameters.experiment import EchoParameters, TwinParameters
+from simulator.specimen import build_specimen
+
+KEY = ShotKey(position="A", set_index=7, shot_index=0)
+HOUR_H = 120.0
+SERIAL = ScopeParameters().serial_number
+PROBE = ProbeWiring(resource="PXI1Slot4")
+RECORDS, SAMPLES = 16, 2048
+
+
+class Scope:
+    """The brain as a client sees it: one call a function, the status raised."""
+
+    def __init__(self, brain):
+        self.brain = brain
+        self.vi = 0
+
+    def __call__(self, name, client="1", **arguments):
+        return self.brain.call(client, f"niScope_{name}", {"vi": self.vi, "channel_list": ""} | arguments)
+
+    def open(self, resource="PXI1Slot4", client="1"):
+        self.vi = self(
+            "InitWithOptions", client, resource_name=resource, id_query=0, reset_device=0, option_string=""
+        )["vi"]
+        return self
+
+    def configure(self, range_v=1.0, level_v=1.0, source="VAL_EXTERNAL", delay_s=0.0):
+        self(
+            "ConfigureVertical",
+            channel_list="0",
+            range=2.0 * range_v,
+            offset=0.0,
+            coupling=1,
+            probe_attenuation=1.0,
+            enabled=1,
+        )
+        self(
+            "ConfigureHorizontalTiming",
+            min_sample_rate=100e6,
+            min_num_pts=SAMPLES,
+            ref_position=0.0,
+            num_records=RECORDS,
+            enforce_realtime=1,
+        )
+        self(
+            "ConfigureTriggerEdge",
+            trigger_source=source,
+            level=level_v,
+            slope=1,
+            trigger_coupling=1,
+            holdoff=0.0,
+            delay=delay_s,
+        )
+        self("Commit")
+        return self
+
+    def fetch(self, timeout_s=WAIT_S):
+        answer = self("FetchBinary16", channel_list="0", timeout=timeout_s, num_samples=SAMPLES)
+        return answer["waveform"].reshape(RECORDS, SAMPLES), infos(answer)
+
+    def attribute(self, number, kind="ViReal64", channel="0"):
+        return self(f"GetAttribute{kind}", channel_list=channel, attribute_id=number)["value"]
+
+
+def infos(answer):
+    return list(struct.iter_unpack(WAVEFORM_INFO, answer["wfm_info"].tobytes()))
+
+
+def make_brain(*, noise=False, echo=None, board=None, probe=None, monotonic_s=time.monotonic):
+    twin = TwinParameters(noise=NoiseParameters(enabled=noise), echo=echo or EchoParameters())
+    specimen = build_specimen(twin, transducers={}, probed_thickness_m={"A": 6.35e-3})
+    brain = NiscopeBrain(
+        (board or ScopeParameters(),),
+        {"A": probe or PROBE},
+        specimen,
+        lambda _position: (KEY, HOUR_H),
+        monotonic_s,
+    )
+    return brain, specimen
+
+
+@pytest.fixture
+def scope():
+    return Scope(make_brain()[0]).open()
+
+
+def refused(code):
+    return pytest.raises(Status, check=lambda status: status.code == code)
+
+
+def test_codes_are_the_twin_s_echo_through_the_board_s_scaling():
+    brain, specimen = make_brain()
+    scope = Scope(brain).open().configure()
+    scope("InitiateAcquisition")
+    records, described = scope.fetch()
+    board = ScopeParameters().calibration(1.0, 0.0)
+    expected = counts_of(specimen.probed_wall("A", HOUR_H).volts(specimen.twin.echo), board)
+    np.testing.assert_array_equal(records, np.tile(expected * 4, (RECORDS, 1)))
+    for _, first_s, step_s, samples, offset_v, gain_v, *_ in described:
+        assert (first_s, step_s, samples) == (0.0, 1e-8, SAMPLES)
+        # The padding is a power of two, so dividing the gain by it loses nothing.
+        np.testing.assert_array_equal([offset_v, 4.0 * gain_v], board.coefficients_v)
+
+
+def test_an_ideal_board_gives_the_twin_s_own_counts():
+    ideal = ScopeParameters(over_range_fraction=0.0, gain_error_fraction=0.0, offset_v=0.0)
+    brain, specimen = make_brain(board=ideal)
+    scope = Scope(brain).open().configure()
+    scope("InitiateAcquisition")
+    records, _ = scope.fetch()
+    np.testing.assert_array_equal(records[0] // 4, specimen.echo(KEY, HOUR_H).waveform.counts)
+
+
+def test_single_records_carry_the_noise_of_one():
+    scope = Scope(make_brain(noise=True)[0]).open().configure()
+    quiet = Scope(make_brain()[0]).open().configure()
+    for each in (scope, quiet):
+        each("InitiateAcquisition")
+    noise = scope.fetch()[0].astype(float) - quiet.fetch()[0].astype(float)
+    code_v = ScopeParameters().calibration(1.0, 0.0).coefficients_v[1] / 4.0
+    single_v = noise.std() * code_v
+    mean_v = noise.mean(axis=0).std() * code_v
+    # Of 32,768 draws (2,048 for the mean) a standard deviation scatters by 0.4 % (1.6 %); five of those.
+    assert single_v == pytest.approx(EchoParameters().noise_rms_v, rel=0.02)
+    assert mean_v == pytest.approx(EchoParameters().noise_rms_v / 4.0, rel=0.08)
+    assert not np.array_equal(noise[0], noise[1])
+
+
+def test_the_same_shot_is_the_same_whenever_it_is_asked_for():
+    scope = Scope(make_brain(noise=True)[0]).open().configure()
+    taken = []
+    for _ in range(2):
+        scope("InitiateAcquisition")
+        taken.append(scope.fetch()[0])
+        scope("Abort")
+    np.testing.assert_array_equal(*taken)
+
+
+def test_time_stamps_are_the_pulser_s_firings():
+    scope = Scope(make_brain(probe=replace(PROBE, repetition_hz=2000.0))[0]).open().configure()
+    scope("InitiateAcquisition")
+    stamps_s = [info[0] for info in scope.fetch()[1]]
+    # A monotonic clock of up to a year resolves a nanosecond and a bit in a double.
+    np.testing.assert_allclose(np.diff(stamps_s), 5e-4, rtol=0.0, atol=1e-8)
+
+
+def test_a_trigger_delay_moves_the_echo():
+    late = 100
+    usual, delayed = (
+        Scope(make_brain()[0]).open().configure(delay_s=delay_s) for delay_s in (0.0, late * 1e-8)
+    )
+    for each in (usual, delayed):
+        each("InitiateAcquisition")
+    (records, _), (shifted, described) = usual.fetch(), delayed.fetch()
+    assert described[0][1] == late * 1e-8
+    # The shifted time axis is rounded anew: a code may flip where the voltage is half-way between two.
+    assert np.abs(records[0, late:].astype(int) - shifted[0, :-late]).max() <= 4
+
+
+def test_a_pulse_beyond_the_range_is_a_warning_with_its_data():
+    scope = Scope(make_brain(echo=EchoParameters(back_wall_v=30.0))[0]).open().configure()
+    scope("InitiateAcquisition")
+    with refused(ADC_OVERLOAD_WARNING) as raised:
+        scope.fetch()
+    waveform = raised.value.values["waveform"]
+    assert (waveform.min(), waveform.max()) == (-32_768, 32_764)
+
+
+@pytest.mark.parametrize(("asked_v", "given_v"), [(1.0, 1.0), (0.3, 0.5), (0.05, 0.1)])
+def test_ranges_are_coerced_upwards(scope, asked_v, given_v):
+    scope.configure(range_v=asked_v)
+    assert scope.attribute(1250001) == 2.0 * given_v
+
+
+@pytest.mark.parametrize(("asked_hz", "given_hz"), [(100e6, 100e6), (60e6, 100e6), (50e6, 50e6), (1e6, 1e6)])
+def test_rates_are_coerced_upwards(asked_hz, given_hz):
+    assert ScopeParameters().next_rate_hz(asked_hz) == given_hz
+
+
+def timing(**changes):
+    usual = {
+        "min_sample_rate": 100e6,
+        "min_num_pts": SAMPLES,
+        "ref_position": 0.0,
+        "num_records": RECORDS,
+        "enforce_realtime": 1,
+    }
+    return usual | changes
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "code"),
+    [
+        ("ConfigureHorizontalTiming", timing(min_sample_rate=2e8), INVALID_VALUE),
+        ("ConfigureHorizontalTiming", timing(num_records=0), INVALID_VALUE),
+        ("ConfigureHorizontalTiming", timing(min_num_pts=2**25), INSUFFICIENT_MEMORY),
+        (
+            "ConfigureChanCharacteristics",
+            {"input_impedance": 75.0, "max_input_frequency": 0.0},
+            INVALID_VALUE,
+        ),
+        ("GetAttributeViReal64", {"attribute_id": 42}, ATTRIBUTE_NOT_SUPPORTED),
+        ("SetAttributeViInt32", {"attribute_id": 1250010, "value": 1.0}, ATTRIBUTE_NOT_SUPPORTED),
+        ("GetAttributeViReal64", {"attribute_id": 1250001, "channel_list": "7"}, UNKNOWN_CHANNEL),
+        ("GetChannelNameFromString", {"indices": "0,5", "buffer_size": 0}, INVALID_VALUE),
+        ("FetchBinary16", {"timeout": 0.0, "num_samples": 1}, INITIATE_NOT_CALLED),
+        ("Abort", {"vi": 99}, INVALID_SESSION),
+    ],
+)
+def test_what_cannot_be_is_refused_by_its_number(scope, name, arguments, code):
+    with refused(code):
+        scope(name, **arguments)
+    assert scope("error_message", error_code=code)["error_message"] == MESSAGES[code]
+
+
+def test_the_last_error_of_a_session_is_kept(scope):
+    with refused(INITIATE_NOT_CALLED):
+        scope("FetchBinary16", timeout=0.0, num_samples=1)
+    assert scope("GetError", buffer_size=0)["error_code"] == INITIATE_NOT_CALLED
+
+
+def test_settings_do_not_change_while_an_acquisition_runs(scope):
+    scope.configure()
+    scope("InitiateAcquisition")
+    for name in ("Commit", "InitiateAcquisition"):
+        with refused(ACQUISITION_IN_PROGRESS):
+            scope(name)
+    scope("SetAttributeViInt32", attribute_id=1150079, value=3)
+    assert scope("ActualNumWfms", channel_list="0")["num_wfms"] == RECORDS - 3
+    scope("Abort")
+    scope("Commit")
+
+
+def test_a_board_belongs_to_one_session(scope):
+    brain = scope.brain
+    for client in ("1", "2"):
+        with refused(ALREADY_IN_USE):
+            Scope(brain).open(client=client)
+    scope("close")
+    brain.occupy("PXI1Slot4", "soft front panel")
+    with pytest.raises(Status, match="soft front panel"):
+        Scope(brain).open()
+    brain.vacate("soft front panel")
+    Scope(brain).open()
+
+
+def test_a_client_that_dies_leaves_nothing_reserved_but_is_told_of(scope):
+    assert scope.brain.open_sessions() == [("1", "PXI1Slot4")]
+    assert scope.brain.client_gone("1") == ["PXI1Slot4"]
+    assert scope.brain.open_sessions() == []
+    Scope(scope.brain).open(client="2")
+
+
+def test_an_unknown_resource_is_refused(scope):
+    with refused(UNKNOWN_RESOURCE):
+        scope.open("PXI1Slot9")
+
+
+class Clock:
+    """A pulser's clock that the test sets."""
+
+    now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.mark.parametrize(
+    ("configured", "triggers"),
+    [
+        ({}, True),
+        ({"level_v": 4.9}, True),
+        ({"level_v": 5.0}, False),
+        ({"level_v": 0.0}, False),
+        ({"source": "VAL_PFI_0"}, False),
+        ({"source": "0"}, False),
+    ],
+    ids=str,
+)
+def test_only_a_trigger_that_the_sync_crosses_is_one(clock, configured, triggers):
+    scope = Scope(make_brain(monotonic_s=clock)[0]).open().configure(**configured)
+    scope("InitiateAcquisition")
+    clock.now_s = 3600.0
+    if triggers:
+        assert scope.fetch(timeout_s=0.0)[0].any()
+        return
+    with refused(MAX_TIME_EXCEEDED):
+        scope.fetch(timeout_s=0.0)
+
+
+def test_a_digital_sync_needs_no_level(clock):
+    probe = replace(PROBE, sync_terminal="VAL_PFI_1")
+    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
+    scope("ConfigureTriggerDigital", trigger_source="VAL_PFI_1", slope=1, holdoff=0.0, delay=0.0)
+    scope("InitiateAcquisition")
+    clock.now_s = 3600.0
+    assert scope.fetch(timeout_s=0.0)[0].any()
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 5e-6])
+def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
+    scope = Scope(make_brain(monotonic_s=clock)[0]).open().configure(delay_s=delay_s)
+    scope("InitiateAcquisition")
+    # Firings at 1, 2 ... 16 ms; the last record ends 20.48 us (and its delay) later.
+    done_s = 16e-3 + delay_s + SAMPLES / 100e6
+    clock.now_s = done_s - 1e-7
+    with refused(MAX_TIME_EXCEEDED):
+        scope.fetch(timeout_s=0.0)
+    clock.now_s = done_s + 1e-7
+    assert len(scope.fetch(timeout_s=0.0)[1]) == RECORDS
+
+
+def test_a_pulser_that_is_off_never_triggers(clock):
+    probe = replace(PROBE, switched_on=False)
+    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
+    scope("InitiateAcquisition")
+    clock.now_s = 3600.0
+    with refused(MAX_TIME_EXCEEDED):
+        scope.fetch(timeout_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("end", "code"),
+    [
+        (lambda scope: scope("Abort"), INITIATE_NOT_CALLED),
+        (lambda scope: scope.brain.unplug(SERIAL), HARDWARE_FAILURE),
+        (lambda scope: scope("close"), INVALID_SESSION),
+        (lambda scope: scope.brain.client_gone("1"), INVALID_SESSION),
+    ],
+    ids=["abort", "unplug", "close", "client gone"],
+)
+def test_a_waiting_fetch_ends_when_its_acquisition_does(scope, end, code):
+    scope.configure(level_v=6.0)
+    scope("InitiateAcquisition")
+    seen = []
+
+    def wait():
+        try:
+            scope.fetch(timeout_s=WAIT_S)
+        except Status as status:
+            seen.append(status.code)
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    end(scope)
+    ended(waiting, "the fetch came back")
+    assert seen == [code]
+
+
+def test_a_board_that_comes_back_under_another_name_is_found_there(scope):
+    scope.brain.unplug(SERIAL)
+    with refused(HARDWARE_FAILURE):
+        scope("Commit")
+    scope.brain.plug(SERIAL, "Dev3")
+    assert Scope(scope.brain).open("Dev3").attribute(1150104, "ViString") == "01C5A1F0"
+
+
+def test_a_reset_restores_the_defaults_and_keeps_the_session(scope):
+    scope.configure()
+    scope("InitiateAcquisition")
+    scope("ResetDevice")
+    assert scope.attribute(1250001) == 10.0
+    scope("Commit")
+
+
+def test_self_calibration_is_dated(scope):
+    before = scope("CalFetchDate", which_one=1)
+    assert (before["year"], before["month"], before["day"]) == (2026, 5, 4)
+    scope("CalSelfCalibrate", option=0)
+    assert scope("CalFetchDate", which_one=1) != before
+    assert scope("CalFetchDate", which_one=0) == before

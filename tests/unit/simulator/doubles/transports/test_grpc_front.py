@@ -1,0 +1,427 @@
+"""The gRPC front, met by the unmodified `nidaqmx` package on a real channel; the brain is a script here."""
+
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
+from simulator.doubles.device_model import Brain
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, Role, Tail
+from simulator.doubles.vendor_api.statuses import Status
+
+grpc = pytest.importorskip("grpc", reason='needs the extra "solimon[grpc]"')
+nidaqmx = pytest.importorskip("nidaqmx")
+
+from nidaqmx import GrpcSessionOptions, SessionInitializationBehavior  # noqa: E402
+from nidaqmx._stubs import nidaqmx_pb2, nidaqmx_pb2_grpc  # noqa: E402
+from nidaqmx.constants import AcquisitionType, Edge, Slope, TaskMode  # noqa: E402
+from nidaqmx.errors import DaqError, DaqReadError, RpcError  # noqa: E402
+from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
+from nidaqmx.system import System  # noqa: E402
+
+from simulator.doubles.errors import DoublesError  # noqa: E402
+from simulator.doubles.transports import grpc_front  # noqa: E402
+from simulator.doubles.transports.grpc_front import GrpcFront, Sessions, arguments_of, entry_of, fill_response  # noqa: E402
+
+METHODS = {
+    method.name: method
+    for method in nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"].methods
+    if entry_of(method.name) is not None
+}
+CHANNELS = 0x1273
+VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
+
+
+class Script:
+    """A brain that answers as told and keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, Mapping[str, Any]]] = []
+        self.answers: dict[str, Mapping[str, Any] | Status] = {}
+        self._next_task = 100
+
+    def __call__(self, function, arguments):
+        if function == "DAQmxGetSystemInfoAttribute" and arguments["attribute"] in VERSION:
+            return {"value": VERSION[arguments["attribute"]]}
+        if function == "DAQmxGetErrorString":
+            return {"error_string": f"text of {arguments['error_code']}"}
+        if function == "DAQmxGetTaskAttribute":
+            return {"value": "PXI1Slot2/ai0" if arguments["attribute"] == CHANNELS else "a task"}
+        if function == "DAQmxGetReadAttribute":
+            return {"value": 1}
+        self.calls.append((function, arguments))
+        answer = self.answers.get(function, {})
+        if isinstance(answer, Status):
+            raise answer
+        if function in ("DAQmxCreateTask", "DAQmxCreateWatchdogTimerTaskEx") and not answer:
+            self._next_task += 1
+            return {"task": self._next_task}
+        return answer
+
+    def asked(self, function):
+        return [arguments for name, arguments in self.calls if name == function]
+
+
+@pytest.fixture
+def script():
+    return Script()
+
+
+@pytest.fixture
+def channel(script):
+    front = GrpcFront(script)
+    channel = grpc.insecure_channel(front.address)
+    yield channel
+    channel.close()
+    front.close()
+
+
+@pytest.fixture
+def options(channel):
+    return GrpcSessionOptions(channel, "")
+
+
+@pytest.fixture
+def task(options):
+    with nidaqmx.Task(grpc_options=options) as task:
+        yield task
+
+
+def test_calls_reach_the_brain_with_the_table_s_names(script, task):
+    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai3", min_val=-2.0, max_val=2.0)
+    task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=13_600)
+    task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(
+        "PXI1Slot2/ai3", 1_000, trigger_slope=Slope.FALLING, trigger_level=-0.25
+    )
+    task.control(TaskMode.TASK_COMMIT)
+    task.start()
+    task.wait_until_done(2.5)
+    (channel,) = script.asked("DAQmxCreateAIVoltageChan")
+    assert (channel["task"], channel["physical_channel"], channel["min_val"]) == (101, "PXI1Slot2/ai3", -2.0)
+    (timing,) = script.asked("DAQmxCfgSampClkTiming")
+    assert (timing["rate"], timing["samps_per_chan"]) == (10e6, 13_600)
+    assert (timing["sample_mode"], timing["active_edge"]) == (
+        AcquisitionType.FINITE.value,
+        Edge.RISING.value,
+    )
+    (trigger,) = script.asked("DAQmxCfgAnlgEdgeRefTrig")
+    assert trigger["trigger_slope"] == Slope.FALLING.value
+    assert (trigger["pretrigger_samples"], trigger["trigger_level"]) == (1_000, -0.25)
+    assert script.asked("DAQmxTaskControl")[0]["action"] == TaskMode.TASK_COMMIT.value
+    assert script.asked("DAQmxWaitUntilTaskDone")[0] == {"task": 101, "time_to_wait": 2.5}
+
+
+def test_attributes_come_and_go_by_their_numbers(script, task):
+    script.answers["DAQmxGetTimingAttribute"] = {"value": 9_999_999.5}
+    assert task.timing.samp_clk_rate == 9_999_999.5
+    task.timing.samp_clk_rate = 5e6
+    assert script.asked("DAQmxSetTimingAttribute") == [{"task": 101, "attribute": 0x1344, "value": 5e6}]
+    script.answers["DAQmxGetTrigAttribute"] = {"value": Slope.RISING.value}
+    assert task.triggers.reference_trigger.anlg_edge_slope is Slope.RISING
+
+
+def test_devices_of_the_remote_system(script, options):
+    script.answers["DAQmxGetSystemInfoAttribute"] = {"value": "PXI1Slot2, Dev1"}
+    script.answers["DAQmxGetDeviceAttribute"] = {"value": 0x01E18096}
+    system = System.remote(options)
+    assert [device.name for device in system.devices] == ["PXI1Slot2", "Dev1"]
+    assert [device.serial_num for device in system.devices] == [0x01E18096] * 2
+    assert tuple(system.driver_version)[:2] == (24, 8)
+
+
+def test_arrays_of_numbers(script, options):
+    script.answers["DAQmxGetDeviceAttribute"] = {"value": np.array([-5.0, 5.0])}
+    device = nidaqmx.system.Device("Dev1", grpc_options=options)
+    assert device.ai_voltage_rngs == [-5.0, 5.0]
+
+
+def test_counts_are_read_whole(script, task):
+    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
+    counts = np.arange(-500, 500, dtype=np.int16)
+    script.answers["DAQmxReadBinaryI16"] = {"read_array": counts, "samps_per_chan_read": 1000}
+    buffer = np.zeros((1, 1000), dtype=np.int16)
+    assert AnalogUnscaledReader(task.in_stream).read_int16(buffer, 1000, timeout=1.5) == 1000
+    np.testing.assert_array_equal(buffer[0], counts)
+    (asked,) = script.asked("DAQmxReadBinaryI16")
+    assert (asked["array_size_in_samps"], asked["num_samps_per_chan"], asked["timeout"]) == (1000, 1000, 1.5)
+
+
+def test_an_error_has_its_number_and_its_text(script, task):
+    script.answers["DAQmxStartTask"] = Status(-50103, "Device: PXI1Slot2", task="a task")
+    with pytest.raises(DaqError, match=r"reserved by another process(.|\n)*PXI1Slot2") as raised:
+        task.start()
+    assert raised.value.error_code == -50103
+
+
+def test_a_warning_is_no_error(script, task):
+    script.answers["DAQmxStopTask"] = Status(200010)
+    task.stop()
+
+
+def test_a_short_read_tells_how_many_samples_came(script, task):
+    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
+    script.answers["DAQmxReadBinaryI16"] = Status(
+        -200284, values={"read_array": np.zeros(10, dtype=np.int16), "samps_per_chan_read": 7}
+    )
+    buffer = np.full((1, 10), 3, dtype=np.int16)
+    with pytest.raises(DaqReadError) as raised:
+        AnalogUnscaledReader(task.in_stream).read_int16(buffer, 10, timeout=0.1)
+    assert (raised.value.error_code, raised.value.samps_per_chan_read) == (-200284, 7)
+    # Over the library the buffer stays as it was: a driver must not use it after an error in any case.
+    assert not buffer.any()
+
+
+def test_a_read_that_got_nothing_is_an_error_like_any_other(script, task):
+    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
+    script.answers["DAQmxReadBinaryI16"] = Status(-200279)
+    with pytest.raises(DaqError) as raised:
+        AnalogUnscaledReader(task.in_stream).read_int16(np.zeros((1, 10), dtype=np.int16), 10)
+    assert raised.value.error_code == -200279
+
+
+def test_what_the_double_does_not_know_is_unimplemented(task):
+    with pytest.raises(RpcError) as raised:
+        task.timing.cfg_handshaking_timing()
+    assert raised.value.rpc_code == grpc.StatusCode.UNIMPLEMENTED
+
+
+def test_an_unnamed_task_is_always_new(script, options):
+    with nidaqmx.Task(grpc_options=options) as one, nidaqmx.Task(grpc_options=options) as other:
+        one.start()
+        other.start()
+    assert [call["task"] for call in script.asked("DAQmxStartTask")] == [101, 102]
+    assert [call["task"] for call in script.asked("DAQmxClearTask")] == [102, 101]
+
+
+def named(channel, behavior):
+    return GrpcSessionOptions(channel, "striker", initialization_behavior=behavior)
+
+
+def test_a_named_task_is_attached_to_and_outlives_who_attached(script, channel):
+    auto = named(channel, SessionInitializationBehavior.AUTO)
+    attach = named(channel, SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION)
+    with nidaqmx.Task("striker", grpc_options=auto):
+        for options in (auto, attach):
+            with nidaqmx.Task("striker", grpc_options=options) as again:
+                again.start()
+        assert [call["session_name"] for call in script.asked("DAQmxCreateTask")] == ["striker"]
+        assert [call["task"] for call in script.asked("DAQmxStartTask")] == [101, 101]
+        assert script.asked("DAQmxClearTask") == []
+    assert [call["task"] for call in script.asked("DAQmxClearTask")] == [101]
+    with nidaqmx.Task("striker", grpc_options=auto):
+        assert len(script.asked("DAQmxCreateTask")) == 2
+
+
+def test_names_that_contradict_the_wish_are_refused(channel):
+    attach = named(channel, SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION)
+    initialize = named(channel, SessionInitializationBehavior.INITIALIZE_SERVER_SESSION)
+    with pytest.raises(RpcError, match="no session named 'striker'") as raised:
+        nidaqmx.Task("striker", grpc_options=attach)
+    assert raised.value.rpc_code == grpc.StatusCode.FAILED_PRECONDITION
+    with nidaqmx.Task("striker", grpc_options=initialize):
+        with pytest.raises(RpcError, match="exists already") as raised:
+            nidaqmx.Task("striker", grpc_options=initialize)
+        assert raised.value.rpc_code == grpc.StatusCode.ALREADY_EXISTS
+
+
+def test_a_task_that_cannot_be_created_leaves_no_name(script, channel):
+    script.answers["DAQmxCreateTask"] = Status(-200089)
+    auto = named(channel, SessionInitializationBehavior.AUTO)
+    with pytest.raises(DaqError):
+        nidaqmx.Task("striker", grpc_options=auto)
+    del script.answers["DAQmxCreateTask"]
+    with nidaqmx.Task("striker", grpc_options=auto) as task:
+        task.start()
+
+
+def test_a_task_s_name_is_free_again_even_if_clearing_it_failed(script, channel):
+    """As NI's server does: it drops the name before it asks the driver."""
+    auto = named(channel, SessionInitializationBehavior.AUTO)
+    script.answers["DAQmxClearTask"] = Status(-50405)
+    with pytest.raises(DaqError):
+        nidaqmx.Task("striker", grpc_options=auto).close()
+    script.answers.clear()
+    with nidaqmx.Task("striker", grpc_options=auto) as task:
+        task.start()
+    assert script.asked("DAQmxStartTask") == [{"task": 102}]
+
+
+CLIENT_THAT_IS_KILLED = """
+import sys, grpc, nidaqmx
+from nidaqmx import GrpcSessionOptions
+channel = grpc.insecure_channel(sys.argv[1])
+task = nidaqmx.Task("striker", grpc_options=GrpcSessionOptions(channel, "striker"))
+task.start()
+print("started", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_the_tasks_of_a_killed_client_stay(script):
+    front = GrpcFront(script)
+    try:
+        child = subprocess.Popen(
+            [sys.executable, "-c", CLIENT_THAT_IS_KILLED, front.address],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        with child:
+            assert child.stdout.readline() == "started\n"
+            child.kill()
+        assert script.asked("DAQmxClearTask") == []
+        with grpc.insecure_channel(front.address) as channel:
+            attach = named(channel, SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION)
+            nidaqmx.Task("striker", grpc_options=attach).stop()
+        assert script.asked("DAQmxStopTask") == [{"task": 101}]
+    finally:
+        front.close()
+
+
+CLIENT_WITH_A_RECORD = """
+import sys, grpc, nidaqmx
+from nidaqmx import GrpcSessionOptions
+from nidaqmx.constants import AcquisitionType, TaskMode
+channel = grpc.insecure_channel(sys.argv[1])
+task = nidaqmx.Task("record", grpc_options=GrpcSessionOptions(channel, "record"))
+task.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai0", min_val=-5.0, max_val=5.0)
+task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
+task.control(TaskMode.TASK_COMMIT)
+print("committed", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_what_a_killed_client_held_stays_held_until_somebody_attaches_and_clears():
+    brain = Brain(Description(boards=(SIMULTANEOUS_16_BIT,)))
+    front = GrpcFront(partial(brain.call, brain.open_client("grpc", "server")))
+    command = [sys.executable, "-c", CLIENT_WITH_A_RECORD, front.address]
+    try:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+            assert child.stdout.readline() == "committed\n"
+            child.kill()
+        assert [task["task"] for task in brain.record()["tasks"]] == ["record"]
+        assert brain.record()["reservations"]
+        with grpc.insecure_channel(front.address) as channel:
+            with nidaqmx.Task(grpc_options=GrpcSessionOptions(channel, "")) as other:
+                other.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai1")
+                other.timing.cfg_samp_clk_timing(1e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=100)
+                with pytest.raises(DaqError) as raised:
+                    other.control(TaskMode.TASK_RESERVE)
+                assert raised.value.error_code == -200022
+            attach = SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION
+            options = GrpcSessionOptions(channel, "record", initialization_behavior=attach)
+            nidaqmx.Task("record", grpc_options=options).close()
+        assert brain.record()["tasks"] == []
+        assert brain.record()["reservations"] == {}
+    finally:
+        front.close()
+
+
+def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_nobody(script, channel):
+    release, entered = threading.Event(), threading.Event()
+
+    def hang(function, arguments):
+        if function == "DAQmxCreateTask" and arguments["session_name"] == "hung":
+            entered.set()
+            release.wait(30.0)
+        return script(function, arguments)
+
+    front = GrpcFront(hang)
+    try:
+        with grpc.insecure_channel(front.address) as other:
+            stub = nidaqmx_pb2_grpc.NiDAQmxStub(other)
+            request, deadline_s = nidaqmx_pb2.CreateTaskRequest(session_name="hung"), 0.2
+            hung = stub.CreateTask.future(request, timeout=deadline_s)
+            while not entered.wait(deadline_s) and deadline_s < 60.0:  # it ended before a busy server had it
+                deadline_s *= 2.0
+                hung = stub.CreateTask.future(request, timeout=deadline_s)
+            assert entered.is_set()
+            stub.CreateTask(nidaqmx_pb2.CreateTaskRequest(session_name="another"), timeout=10.0)
+            assert hung.exception(timeout=120.0).code() == grpc.StatusCode.DEADLINE_EXCEEDED
+    finally:
+        release.set()
+        front.close()
+
+
+def test_a_server_that_is_gone_is_unavailable(script):
+    front = GrpcFront(script)
+    with grpc.insecure_channel(front.address) as channel:
+        task = nidaqmx.Task(grpc_options=GrpcSessionOptions(channel, ""))
+        front.close()
+        with pytest.raises(RpcError) as raised:
+            task.start()
+    assert raised.value.rpc_code == grpc.StatusCode.UNAVAILABLE
+
+
+def test_an_address_that_is_taken_is_refused(script):
+    front = GrpcFront(script)
+    try:
+        with pytest.raises(DoublesError, match=front.address):
+            GrpcFront(script, front.address)
+    finally:
+        front.close()
+
+
+def test_without_grpc_it_says_what_to_install(script, monkeypatch):
+    monkeypatch.setattr(grpc_front, "_is_installed", lambda name: name != "grpc")
+    with pytest.raises(DoublesError, match=r'grpc not installed: python -m pip install "solimon\[grpc\]"'):
+        GrpcFront(script)
+
+
+def test_every_entry_with_a_method_is_served():
+    without = {name for name in ENTRY_POINTS if name.startswith("DAQmx")} - {
+        entry_of(method).name for method in METHODS
+    }
+    assert without == {
+        "DAQmxSetRuntimeEnvironment",
+        "DAQmxGetExtendedErrorInfo",
+        "DAQmxInternalGetLastCreatedChan",
+    }
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_every_input_of_the_table_is_found_in_the_request(method):
+    entry = entry_of(method.name)
+    request = getattr(nidaqmx_pb2, method.input_type.name)()
+    arguments = arguments_of(entry, request, Sessions())
+    wanted = {p.name for p in entry.parameters if not p.goes_out and p.role is not Role.UNUSED}
+    wanted |= {"value"} if entry.tail is Tail.SET_ATTRIBUTE else set()
+    wanted |= {"channel_names"} if entry.tail in (Tail.SET_STATES, Tail.GET_STATES) else set()
+    wanted |= {"state"} if entry.tail is Tail.SET_STATES else set()
+    assert set(arguments) == wanted
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_every_output_of_the_table_has_its_field(method):
+    entry = entry_of(method.name)
+    response = getattr(nidaqmx_pb2, method.output_type.name)()
+    fields = response.DESCRIPTOR.fields_by_name
+    outputs = [p for p in entry.parameters if p.goes_out and p.scalar is not HANDLE]
+    for parameter in outputs:
+        assert parameter.name in fields, parameter.name
+        value = {Role.OUT: 1, Role.OUT_TEXT: "x", Role.OUT_ARRAY: np.ones(2, dtype=np.int16)}[parameter.role]
+        fill_response(entry, response, {parameter.name: value}, 0)
+        assert getattr(response, parameter.name), parameter.name
+
+
+def test_power_up_states_travel_both_ways(script, options):
+    script.answers["DAQmxGetDigitalPowerUpStates"] = {"state": np.array([10214, 10310], dtype=np.int32)}
+    client = nidaqmx_pb2_grpc.NiDAQmxStub(options.grpc_channel)
+    got = client.GetDigitalPowerUpStates(
+        nidaqmx_pb2.GetDigitalPowerUpStatesRequest(device_name="Dev1", channel_name=["a", "b"])
+    )
+    assert list(got.power_up_states) == [10214, 10310]
+    assert script.asked("DAQmxGetDigitalPowerUpStates")[0]["channel_names"] == "a\nb"
+    low = nidaqmx_pb2.DigitalPowerUpChannelsAndState(channel_names="a", state=10214)
+    client.SetDigitalPowerUpStates(
+        nidaqmx_pb2.SetDigitalPowerUpStatesRequest(device_name="Dev1", power_up_states=[low])
+    )
+    asked = script.asked("DAQmxSetDigitalPowerUpStates")[0]
+    assert (asked["channel_names"], asked["state"].tolist()) == ("a", [10214])

@@ -1,0 +1,168 @@
+"""Building the C library: once, whole, whoever else builds; a clear remedy where it cannot be."""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from support.doubles_bench import one_board_description
+
+from simulator.doubles.chassis.description import (
+    default_description,
+    from_json,
+    to_json,
+)
+from simulator.doubles.errors import LibraryBuildError
+from simulator.doubles.transports import library
+from simulator.doubles.transports.c_source import library_source
+from simulator.doubles.transports.library import build_library, client_environment, why_unavailable
+
+needs_compiler = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "never")
+
+
+@needs_compiler
+def test_it_is_built_once(tmp_path, monkeypatch):
+    folder = build_library("nidaqmx", tmp_path)
+    monkeypatch.setattr(library, "_compile", lambda *_: pytest.fail("built again"))
+    assert build_library("nidaqmx", tmp_path) == folder
+    assert [child.name for child in tmp_path.iterdir()] == [folder.name]
+
+
+@needs_compiler
+def test_another_source_is_another_library(tmp_path, monkeypatch):
+    first = build_library("nidaqmx", tmp_path)
+    monkeypatch.setattr(library, "library_source", lambda name: library_source(name) + "\n")
+    assert build_library("nidaqmx", tmp_path) != first
+
+
+@needs_compiler
+def test_several_processes_at_once_leave_one_whole_library(tmp_path):
+    code = (
+        "import sys\nfrom pathlib import Path\n"
+        "from simulator.doubles.transports.library import build_library\n"
+        "print(build_library('nidaqmx', Path(sys.argv[1])))"
+    )
+
+    def build(_):
+        return subprocess.run(
+            [sys.executable, "-c", code, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=120,
+        ).stdout.strip()
+
+    with ThreadPoolExecutor(3) as pool:
+        folders = set(pool.map(build, range(3)))
+    assert len(folders) == 1
+    assert [str(child) for child in tmp_path.iterdir()] == list(folders)
+    assert {child.name for child in next(tmp_path.iterdir()).iterdir()} == {
+        "libnidaqmx.so",
+        "libnidaqmx.so.1",
+        "libnidaqmx.so.c",
+    }
+
+
+@needs_compiler
+def test_a_process_that_is_first_wins_and_the_other_takes_its_folder(tmp_path, monkeypatch):
+    compile_really = library._compile
+
+    def overtaken(source, flags, target):
+        compile_really(source, flags, target)
+        monkeypatch.setattr(library, "_compile", compile_really)
+        build_library("nidaqmx", tmp_path)
+
+    monkeypatch.setattr(library, "_compile", overtaken)
+    folder = build_library("nidaqmx", tmp_path)
+    assert [child.name for child in tmp_path.iterdir()] == [folder.name]
+
+
+@needs_compiler
+def test_the_source_compiles_without_a_warning(tmp_path):
+    written = tmp_path / "double.c"
+    for name in ("nidaqmx", "niScope"):
+        written.write_text(library_source(name), encoding="utf-8")
+        checked = subprocess.run(
+            # A reserved pointer is a parameter that nobody uses; attributes are NI-DAQmx's only.
+            [
+                "cc",
+                "-std=gnu11",
+                "-Wall",
+                "-Wextra",
+                "-Werror",
+                "-Wno-unused-parameter",
+                "-Wno-unused-function",
+                "-fsyntax-only",
+                str(written),
+            ],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert checked.returncode == 0, checked.stderr
+
+
+@needs_compiler
+def test_a_compiler_that_refuses_is_quoted(tmp_path, monkeypatch):
+    monkeypatch.setattr(library, "library_source", lambda name: "this is not C;")
+    with pytest.raises(LibraryBuildError, match="error"):
+        build_library("nidaqmx", tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the remedy differs")
+@pytest.mark.parametrize(
+    ("tools", "remedy"),
+    [((), "install one"), (("cc",), "install binutils"), (("cc", "ld"), "objdump not on")],
+)
+def test_missing_tools_are_named_with_the_remedy(tmp_path, monkeypatch, tools, remedy):
+    for tool in tools:
+        (tmp_path / tool).symlink_to(sys.executable)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert remedy in why_unavailable()
+    with pytest.raises(LibraryBuildError, match=remedy):
+        build_library("nidaqmx", tmp_path / "cache")
+
+
+def test_elsewhere_than_on_linux_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(library.sys, "platform", "win32")
+    with pytest.raises(LibraryBuildError, match="Linux only"):
+        build_library("nidaqmx", tmp_path)
+
+
+def test_the_environment_puts_the_folders_first_and_keeps_what_was_there(tmp_path):
+    found = client_environment("127.0.0.1:9", tmp_path, environment={"LD_LIBRARY_PATH": "/opt/x", "A": "b"})
+    assert found == {
+        "A": "b",
+        "SOLIMON_DOUBLES": "127.0.0.1:9",
+        "LD_LIBRARY_PATH": f"{tmp_path}{os.pathsep}/opt/x",
+    }
+    assert client_environment("h:1", tmp_path, environment={})["LD_LIBRARY_PATH"] == str(tmp_path)
+
+
+# The description travels to the process as JSON
+
+
+@pytest.mark.parametrize("make", [default_description, one_board_description])
+def test_a_description_survives_json(make):
+    assert to_json(from_json(to_json(make()))) == to_json(make())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ('"PXIe-6386"', '"PXIe-9999"', "known are"),
+        ('"ai_channel": 1', '"ai_channel": 8', "has 8 inputs"),
+        ('"counter": 1', '"counter": 4', "has 4 counters"),
+        ('"ai_channel": 1', '"ai_channel": 0', "shares an input"),
+        ('"counter_serial": 31547526', '"counter_serial": 5', "not described"),
+        ('"lift_s": 0.005', '"lift_s": 5.0', "less than or equal to 1"),
+        ('"boards"', '"planks"', "planks"),
+    ],
+)
+def test_a_description_that_cannot_be_says_why(old, new, reason):
+    text = to_json(one_board_description())
+    assert old in text
+    with pytest.raises(ValueError, match=reason):
+        from_json(text.replace(old, new))

@@ -1,0 +1,433 @@
+"""The unmodified `nidaqmx` package on the double of its C library."""
+
+import ctypes
+import multiprocessing
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.daqmx_models import running_brain
+from support.doubles_bench import meet
+from support.waiting import WAIT_S, ended, happened, until
+
+from simulator.doubles.chassis.description import default_description
+from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.transports.library import SONAMES
+
+nidaqmx = pytest.importorskip("nidaqmx")
+from nidaqmx.constants import (  # noqa: E402
+    AcquisitionType,
+    Level,
+    PowerUpStates,
+    Slope,
+    TaskMode,
+)
+from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqReadError, DaqWarning  # noqa: E402
+from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
+from nidaqmx.system import System  # noqa: E402
+from nidaqmx.system.watchdog import WatchdogTask  # noqa: E402
+from nidaqmx.types import DOExpirationState, DOPowerUpState  # noqa: E402
+
+SAMPLES, PRETRIGGER = 13_600, 1_000
+
+
+def digitizer(board="PXI1Slot3", name="", channel="ai0"):
+    task = nidaqmx.Task(name)
+    task.ai_channels.add_ai_voltage_chan(f"{board}/{channel}", min_val=-5.0, max_val=5.0)
+    task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=SAMPLES)
+    task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(
+        f"{board}/{channel}", PRETRIGGER, Slope.RISING, 0.25
+    )
+    return task
+
+
+def coil(board="PXI1Slot3", name="", **times):
+    task = nidaqmx.Task(name)
+    chosen = {"initial_delay": 2e-4, "high_time": 0.006, "low_time": 0.001} | times
+    task.co_channels.add_co_pulse_chan_time(f"{board}/ctr0", **chosen)
+    return task
+
+
+@pytest.mark.parametrize(
+    ("board", "dtype"), [("PXI1Slot2", np.int32), ("PXI1Slot3", np.int16), ("PXI1Slot4", np.int16)]
+)
+def test_the_whole_order_of_a_shot(meeting, board, dtype):
+    with digitizer(board) as ai, coil(board) as co:
+        ai.control(TaskMode.TASK_COMMIT)
+        co.control(TaskMode.TASK_COMMIT)
+        channel = ai.ai_channels[0]
+        assert ai.timing.samp_clk_rate == 10e6
+        assert (channel.ai_rng_low, channel.ai_rng_high) == (-5.0, 5.0)
+        assert channel.ai_raw_samp_size == 8 * np.dtype(dtype).itemsize
+        assert len(channel.ai_dev_scaling_coeff) == 4
+        assert co.co_channels[0].co_pulse_term.startswith(f"/{board}/")
+        reader, codes = AnalogUnscaledReader(ai.in_stream), np.zeros((1, SAMPLES), dtype)
+        for _ in range(2):
+            ai.start()
+            co.start()
+            ai.wait_until_done(WAIT_S)
+            read = reader.read_int16 if dtype is np.int16 else reader.read_int32
+            assert read(codes, SAMPLES, WAIT_S) == SAMPLES
+            ai.stop()
+            co.stop()
+            scale = np.polynomial.polynomial.polyval(codes[0].astype(float), channel.ai_dev_scaling_coeff)
+            # The level is crossed between these two samples but for 25 mV of noise: six of it.
+            assert scale[PRETRIGGER] == pytest.approx(0.25, abs=0.15)
+            assert scale.max() > 1.0
+        ai.control(TaskMode.TASK_UNRESERVE)
+        co.control(TaskMode.TASK_UNRESERVE)
+        assert meeting.control.record()["reservations"] == {}
+    record = meeting.control.record()
+    assert [event["level"] for event in record["lines"]] == [1, 0, 1, 0]
+    assert record["tasks"] == []
+    assert record["leaked"] == []
+
+
+def test_the_system_and_its_boards_introduce_themselves(meeting):
+    system = System.local()
+    assert tuple(system.driver_version) == (24, 8, 0)
+    found = {device.serial_num: (device.name, device.product_type) for device in system.devices}
+    assert found == {
+        0x01E18096: ("PXI1Slot2", "PXIe-6396"),
+        0x01E16086: ("PXI1Slot3", "PXIe-6386"),
+        0x00F12015: ("PXI1Slot4", "PXI-6115"),
+        0x00C16021: ("Dev1", "PCI-6221"),
+    }
+    board = system.devices["PXI1Slot3"]
+    assert board.ai_max_single_chan_rate == 100e6 / 7
+    assert board.ai_voltage_rngs[-2:] == [-10.0, 10.0]
+    assert "/PXI1Slot3/PFI12" in board.terminals
+    assert board.co_physical_chans.channel_names[0] == "PXI1Slot3/ctr0"
+    assert str(board.self_cal_last_date_and_time) == "2026-01-12 09:30:00"
+    board.self_cal()
+    assert board.self_cal_last_date_and_time.year > 2000
+    assert board.cal_dev_temp == board.self_cal_last_temp == 38.5
+    assert board.anlg_trig_supported is True
+    board.reset_device()
+
+
+def test_power_up_states_travel_in_pairs(meeting):
+    system = System.local()
+    wanted = [
+        DOPowerUpState("PXI1Slot3/port2/line4", PowerUpStates.LOW),
+        DOPowerUpState("PXI1Slot3/port2/line5", PowerUpStates.HIGH),
+    ]
+    system.set_digital_power_up_states("PXI1Slot3", wanted)
+    found = {
+        state.physical_channel: state.power_up_state
+        for state in system.get_digital_power_up_states("PXI1Slot3")
+    }
+    assert len(found) == 16
+    assert found["PXI1Slot3/port2/line4"] is PowerUpStates.LOW
+    assert found["PXI1Slot3/port2/line5"] is PowerUpStates.HIGH
+    assert found["PXI1Slot3/port1/line0"] is PowerUpStates.TRISTATE
+
+
+def test_a_watchdog_guards_digital_lines_under_their_flattened_names(meeting):
+    lines = ["PXI1Slot3/port2/line4", "PXI1Slot3/port2/line5", "PXI1Slot3/port1/line0"]
+    states = [Level.LOW, Level.HIGH, Level.HIGH]
+    with WatchdogTask("PXI1Slot3", "watchdog", timeout=0.01) as watchdog:
+        watchdog.cfg_watchdog_do_expir_states(
+            [
+                DOExpirationState(physical_channel=line, expiration_state=state)
+                for line, state in zip(lines, states, strict=True)
+            ]
+        )
+        watchdog.start()
+        until(lambda: watchdog.expired, "a watchdog of 10 ms expired")
+        watchdog.clear_expiration()
+        assert watchdog.expired is False
+        watchdog.stop()
+        with pytest.raises(DaqError) as caught:
+            _ = watchdog.expired
+        assert caught.value.error_code == -200983
+        with pytest.raises(DaqError, match="line8") as caught:
+            watchdog.cfg_watchdog_do_expir_states([DOExpirationState("PXI1Slot3/port2/line8", Level.LOW)])
+        assert caught.value.error_code == -200170
+    events = meeting.control.record()["lines"]
+    serial = 0x01E16086
+    assert {(event["line"], event["level"], event["cause"]) for event in events} == {
+        (f"{serial}/PFI13", 1, "watchdog"),
+        (f"{serial}/PFI0", 1, "watchdog"),
+    }
+    System.local().devices["PXI1Slot3"].reset_device()
+
+
+def test_routes_are_made_and_undone(meeting):
+    system = System.local()
+    system.connect_terms("/PXI1Slot3/PFI0", "/PXI1Slot3/PXI_Trig1")
+    system.disconnect_terms("/PXI1Slot3/PFI0", "/PXI1Slot3/PXI_Trig1")
+    with pytest.raises(DaqError, match="PFI77") as caught:
+        system.connect_terms("/PXI1Slot3/PFI77", "/PXI1Slot3/PXI_Trig1")
+    assert caught.value.error_code == -200040
+
+
+def test_attributes_of_every_type_are_set_and_read_back(meeting):
+    with digitizer() as ai, coil() as co:
+        ai.timing.samp_clk_rate = 5e6
+        assert ai.timing.samp_clk_rate == 5e6
+        ai.timing.ref_clk_src = "PXI_Clk10"
+        assert ai.timing.ref_clk_src == "PXI_Clk10"
+        ai.triggers.reference_trigger.pretrig_samples = 700
+        assert ai.triggers.reference_trigger.pretrig_samples == 700
+        ai.triggers.reference_trigger.anlg_edge_slope = Slope.FALLING
+        assert ai.triggers.reference_trigger.anlg_edge_slope is Slope.FALLING
+        channel = co.co_channels[0]
+        assert channel.co_pulse_idle_state is Level.LOW
+        assert channel.co_pulse_high_time == 0.006
+        channel.co_pulse_term = "/PXI1Slot3/PFI5"
+        assert channel.co_pulse_term == "/PXI1Slot3/PFI5"
+
+
+def test_what_the_double_does_not_answer_is_refused_by_the_package_or_by_its_number(meeting):
+    with digitizer() as ai:
+        with pytest.raises(DaqFunctionNotSupportedError, match="DAQmxIsTaskDone"):
+            ai.is_task_done()
+        with pytest.raises(DaqError, match="The double has no Chan attribute 0x17dd") as caught:
+            _ = ai.ai_channels[0].ai_max
+        assert caught.value.error_code == -200233
+
+
+# Errors
+
+
+def test_an_error_brings_its_code_text_and_task(meeting):
+    with digitizer(name="digitizer B") as ai:
+        ai.timing.samp_clk_rate = 20e6
+        with pytest.raises(DaqError, match="Maximum Value: 14285714") as caught:
+            ai.control(TaskMode.TASK_VERIFY)
+        assert caught.value.error_code == -200077
+        assert "Task Name: digitizer B" in str(caught.value)
+
+
+def test_a_read_that_comes_too_early_leaves_the_buffer_as_it_was(meeting):
+    with digitizer() as ai:
+        ai.start()
+        codes = np.full((1, SAMPLES), 77, np.int16)
+        with pytest.raises(DaqReadError) as caught:
+            AnalogUnscaledReader(ai.in_stream).read_int16(codes, SAMPLES, 0.01)
+        assert caught.value.error_code == -200284
+        assert caught.value.samps_per_chan_read == 0
+        assert np.all(codes == 77)
+        with pytest.warns(DaqWarning, match="stopped before"):
+            ai.stop()
+
+
+def test_an_ordered_status_arrives(meeting):
+    meeting.control.inject("DAQmxStartTask", "error", code=-88710)
+    with coil() as co:
+        with pytest.raises(DaqError) as caught:
+            co.start()
+        assert caught.value.error_code == -88710
+        assert meeting.control.record()["lines"] == []
+
+
+def test_threads_keep_their_own_last_error(meeting):
+    """A hanging call in one thread neither keeps another one from calling nor mixes up its text."""
+    meeting.control.inject("DAQmxSelfCal", "hang", nth=1)
+    system, found = System.local(), []
+
+    def waiting():
+        try:
+            system.devices["PXI1Slot3"].self_cal()
+            nidaqmx.system.Device("NoSuch").self_cal()
+        except DaqError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=waiting)
+    thread.start()
+    happened(meeting.control.wait_until_hanging, "a call hung")
+    with pytest.raises(DaqError, match="Device Specified: Other"):
+        nidaqmx.system.Device("Other").self_cal()
+    meeting.control.release_hangs()
+    ended(thread, "the hanging call came back")
+    assert "Device Specified: NoSuch" in str(found[0])
+
+
+# The C functions themselves
+
+
+def c_library(folder):
+    return ctypes.CDLL(str(folder / SONAMES["nidaqmx"]))
+
+
+def test_the_last_error_s_text_belongs_to_its_thread(meeting, double_library):
+    library, text = c_library(double_library), ctypes.create_string_buffer(2048)
+    assert library.DAQmxSelfCal(b"NoSuch1") == -200220
+    thread = threading.Thread(target=library.DAQmxSelfCal, args=(b"NoSuch2",))
+    thread.start()
+    ended(thread, "the other thread's call came back")
+    assert library.DAQmxGetExtendedErrorInfo(text, 2048) == 0
+    assert b"Device Specified: NoSuch1" in text.value
+
+
+@pytest.mark.parametrize(("room", "status", "written"), [(8, 0, 8), (3, -200234, 3), (0, 8, 0)])
+def test_an_array_never_runs_over_its_room(meeting, double_library, room, status, written):
+    library, ranges = c_library(double_library), (ctypes.c_double * 10)(*[77.0] * 10)
+    voltage_ranges = 0x2990
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", voltage_ranges, ranges, room) == status
+    assert list(ranges)[written:] == [77.0] * (10 - written)
+    assert 77.0 not in list(ranges)[:written]
+
+
+@pytest.mark.parametrize(
+    ("room", "status", "found"), [(10, 0, b"PXIe-6386"), (9, -200228, b"PXIe-638"), (0, 10, b"")]
+)
+def test_text_never_runs_over_its_room(meeting, double_library, room, status, found):
+    library, text = c_library(double_library), ctypes.create_string_buffer(b"\0" + b"x" * 14)
+    product_type = 0x631
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", product_type, text, room) == status
+    assert text.value == found
+    assert text.raw[max(room, 1) :].startswith(b"xxxx")
+
+
+def test_an_attribute_that_nobody_knows_writes_nothing(meeting, double_library):
+    library, number = c_library(double_library), ctypes.c_double(77.0)
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", 0x7FFF, ctypes.byref(number)) == -200233
+    assert number.value == 77.0
+
+
+# Other processes
+
+CLIENT = """
+import sys
+import nidaqmx
+from nidaqmx.constants import TaskMode
+task = nidaqmx.Task("the other's coil")
+task.co_channels.add_co_pulse_chan_time("PXI1Slot3/ctr0", initial_delay=0.0, high_time=30.0, low_time=1.0)
+task.control(TaskMode.TASK_COMMIT)
+if "start" in sys.argv:
+    task.start()
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+def other_process(running, library, *arguments):
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments],
+        env={**os.environ, "SOLIMON_DOUBLES": running.wire, "LD_LIBRARY_PATH": str(library)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def end(process):
+    process.stdout.close()
+    process.stdin.close()
+    ended(process, "the other process left")
+
+
+def test_two_processes_share_the_boards_and_see_each_other(meeting, double_library):
+    other = other_process(meeting, double_library)
+    try:
+        with coil() as co:
+            with pytest.raises(DaqError, match="the other's coil") as caught:
+                co.start()
+            assert caught.value.error_code == -50103
+    finally:
+        end(other)
+
+
+def test_a_killed_process_leaves_nothing_driven(meeting, double_library):
+    other = other_process(meeting, double_library, "start")
+    try:
+        assert meeting.control.record()["levels"]["31547526/PFI12"] == 1
+        other.send_signal(signal.SIGKILL)
+        happened(meeting.control.wait_until_no_tasks, "the double heard of the client's death")
+    finally:
+        end(other)
+    record = meeting.control.record()
+    assert record["levels"]["31547526/PFI12"] == 0
+    assert record["reservations"] == {}
+    (leak,) = record["leaked"]
+    assert (leak["task"], leak["state"]) == ("the other's coil", "running")
+
+
+def test_a_forked_child_is_a_client_of_its_own(meeting):
+    with coil(name="parent's") as co:
+        co.control(TaskMode.TASK_COMMIT)
+        context = multiprocessing.get_context("fork")
+        child = context.Process(target=_touch_the_double)
+        child.start()
+        child.join(WAIT_S)
+        assert child.exitcode == 0
+        # The parent's connections survived its child.
+        co.start()
+    clients = {call["client"] for call in meeting.control.record()["calls"]}
+    assert len(clients) == 2
+
+
+def _touch_the_double():
+    os._exit(0 if len(System.local().devices.device_names) == 4 else 1)
+
+
+# A brain that is gone
+
+
+def test_without_a_brain_every_call_fails_at_once_and_a_new_brain_is_found(
+    meeting,
+    double_library,
+    monkeypatch,
+):
+    with running_brain(default_description()) as second:
+        meet(second, double_library, monkeypatch)
+        co = coil(name="lost")
+        second.control.inject("DAQmxStartTask", "death")
+        with pytest.raises(DaqError, match="went away during the call") as caught:
+            co.start()
+        assert caught.value.error_code == -50405
+        second.process.join(WAIT_S)
+        assert second.process.exitcode == 70
+        with pytest.raises(DaqError, match="No NI-DAQmx double answers") as caught:
+            co.start()
+        assert caught.value.error_code == -50401
+    meet(meeting, double_library, monkeypatch)
+    with pytest.raises(DaqError) as caught:
+        co.close()
+    assert caught.value.error_code == -200088
+    co._handle = None
+    assert len(System.local().devices.device_names) == 4
+
+
+def test_without_an_address_the_remedy_is_named(meeting, monkeypatch):
+    monkeypatch.delenv("SOLIMON_DOUBLES")
+    with pytest.raises(DaqError, match=r"python -m simulator\.doubles"):
+        nidaqmx.Task()
+
+
+def test_the_page_s_example_runs(double_library, tmp_path, monkeypatch):
+    page = (Path(__file__).parents[5] / "docs" / "reference" / "doubles.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my_script.py").write_text(
+        "from nidaqmx.system import System\nassert len(System.local().devices.device_names) == 4\n",
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "simulator.doubles.transports.control.running_doubles", lambda: running_brain(default_description())
+    )
+    # The page uses the user's cache; a test leaves it alone.
+    monkeypatch.setattr(
+        RunningDoubles.client_environment,
+        "__kwdefaults__",
+        {
+            "cache": double_library.parent,
+            "environment": None,
+        },
+    )
+    names: dict[str, Any] = {}
+    exec(compile(example, "doubles.md", "exec"), names)
+    functions = [call["function"] for call in names["record"]["calls"]]
+    assert "DAQmxGetSystemInfoAttribute" in functions
