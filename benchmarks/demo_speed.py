@@ -107,7 +107,7 @@ def run_recorder(hours: float, kind: str) -> dict[str, Any]:
         prepare_data_folder(Path(folder))
         wall, processor = time.perf_counter(), sum(os.times()[:4])
         rig = one_thread_rig if kind == OBVIOUS else open_rig
-        finished = record(settings, Path(folder), rig, stop=threading.Event(), tell=lambda *_, **__: None)
+        finished = record(settings, Path(folder), rig, stop=threading.Event(), report=lambda *_, **__: None)
         wall_s, processor_s = time.perf_counter() - wall, sum(os.times()[:4]) - processor
         assert finished
         with open_catalogue(Path(folder), writer=False) as catalogue:

@@ -136,7 +136,7 @@ def measured(hours: float, folder: Path) -> dict[str, Any]:
 
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        record(settings, folder, opened, stop=threading.Event(), tell=tell)
+        record(settings, folder, opened, stop=threading.Event(), report=tell)
     print(file=sys.stderr)
     sets = [count for count, *_ in samples]
     memory, handles = [mb for _, mb, _ in samples], [float(number) for *_, number in samples]

@@ -463,7 +463,7 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
             Recorder(
                 settings, archive, catalogue, rig, catalogue.experiment_row().epoch_utc_ns,
                 live=LiveFigure(folder, "simulated"), heartbeat=Heartbeat(folder, deadline_s=1e9),
-                stop=threading.Event(), tell=lambda event, **values: None,
+                stop=threading.Event(), report=lambda event, **values: None,
             )  # fmt: skip
             note("recorder")
     return taken | {"all": sum(taken.values())}

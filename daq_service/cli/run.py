@@ -199,9 +199,9 @@ def record_alone(
                 partial(_open_rig_to_stay, tell),
                 stop=stop,
                 restart_reason=restart_reason,
-                tell=tell,
+                report=tell,
                 linger=linger,
-                left_alone=left_alone,
+                unsupervised=left_alone,
                 acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
                 remote_drive=drive,
             )

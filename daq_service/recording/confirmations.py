@@ -54,15 +54,15 @@ class Confirmations:
         )
         self.asked: dict[int, Confirmation] = {}
         self.waiting: dict[int, Confirmation] = {}
-        self._said: dict[str, Confirmed] = {}
+        self._last_results: dict[str, Confirmed] = {}
         for one in asked_so_far(catalogue):
             self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
         for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
             del self.waiting[index]
         for position in {one.due.position for one in self.asked.values()} - {None}:
-            said = confirmation_of(catalogue, str(position))
-            if said is not None:
-                self._said[str(position)] = said
+            last = confirmation_of(catalogue, str(position))
+            if last is not None:
+                self._last_results[str(position)] = last
 
     def take_event(self, event: EventRow) -> None:
         """Take in what was asked for, once that is stored; other events say nothing of it."""
@@ -76,7 +76,7 @@ class Confirmations:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_index, None)
                 assessment = next((one for one in stored.assessments if one.set_index == row.set_index), None)
-                self._said[row.position] = confirmed(row, assessment)
+                self._last_results[row.position] = confirmed(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Time that is left until the planned set after one."""
@@ -84,9 +84,9 @@ class Confirmations:
         left_h = following[0] - planned.due_h if following else float("inf")
         return planned.due_utc_ns + left_h * NS_PER_H - utc_ns
 
-    def ask(
+    def request(
         self,
-        because: str,
+        reason: str,
         planned: DueSet,
         position: str,
         alarms: Alarms,
@@ -106,11 +106,11 @@ class Confirmations:
             room_ns=self.room_ns(planned, moment.utc_ns),
             set_ns=self.set_ns,
         ):
-            self.add(because, planned, position, moment, transaction)
+            self.add(reason, planned, position, moment, transaction)
 
     def add(
         self,
-        because: str,
+        reason: str,
         planned: DueSet,
         position: str,
         moment: Moment,
@@ -118,23 +118,23 @@ class Confirmations:
         author: str = "",
     ) -> Confirmation | None:
         """Add the event that asks for a set after a planned one; None: there are too many already."""
-        beside = [
+        requested = [
             asked_by(str(event.position), event.payload)
             for event in transaction.events
             if event.kind == CONFIRMATION_ASKED
         ]
-        number = next_number([*self.asked.values(), *beside], planned.set_index)
+        number = next_number([*self.asked.values(), *requested], planned.set_index)
         if number is None:
             return None
         due = unscheduled_set(number, planned, moment.utc_ns, position)
-        one = Confirmation(due=due, because=because, author=author)
+        one = Confirmation(due=due, because=reason, author=author)
         transaction.tell(CONFIRMATION_ASKED, one.payload(), moment, position=position)
         return one
 
     def proof(self, condition: Condition, planned_set: int) -> dict[str, Any]:
         """Give what a confirmation set among the last sets adds to the proof of a change."""
-        said = self._said.get(condition.position or "")
-        known = said is not None and planned_set - said.after_set < self._rules.n
-        if said is None or not known or condition.kind not in ALARMS_OF_CHANGE:
+        last = self._last_results.get(condition.position or "")
+        known = last is not None and planned_set - last.after_set < self._rules.n
+        if last is None or not known or condition.kind not in ALARMS_OF_CHANGE:
             return {}
-        return {"confirmation": asdict(said)}
+        return {"confirmation": asdict(last)}

@@ -37,12 +37,12 @@ class Opening:
     ----------
     since_mono_ns
         When it was started, on its clock's elapsed time.
-    told
+    text
         Why it took no set meanwhile.
     """
 
     since_mono_ns: int
-    told: str
+    text: str
 
 
 class OpeningAlarm:
@@ -56,11 +56,11 @@ class OpeningAlarm:
         catalogue: RecorderCatalogue,
         history: HistoryFollower,
         moment: Callable[[], Moment],
-        tell: Callable[..., None],
+        report: Callable[..., None],
     ) -> None:
         self._catalogue, self._history = catalogue, history
-        self._moment, self._tell = moment, tell
-        self._told = False
+        self._moment, self._report = moment, report
+        self._reported = False
 
     def carry(self, trouble: InstrumentError | None) -> None:
         """Tell what stands in the way, None: nothing any more; the alarm as far as the disk takes it."""
@@ -72,10 +72,10 @@ class OpeningAlarm:
             change = None
         if change is not None:
             row, kind = change.row, change.event_kind
-            self._tell("alarm", change=kind, hour=moment.due_h, severity=row.severity, message=row.message)
-        elif condition.present and not self._told:
-            self._tell("waits", why=condition.message)
-        self._told = condition.present
+            self._report("alarm", change=kind, hour=moment.due_h, severity=row.severity, message=row.message)
+        elif condition.present and not self._reported:
+            self._report("waits", why=condition.message)
+        self._reported = condition.present
 
     def _carried(self, condition: Condition, moment: Moment) -> Change | None:
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)

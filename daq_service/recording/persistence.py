@@ -96,7 +96,7 @@ class Persistence:
         self,
         archive: Archive,
         catalogue: RecorderCatalogue,
-        ledger: SetAssessor,
+        assessor: SetAssessor,
         helpers: Helpers,
         *,
         limit_bytes: int,
@@ -106,43 +106,43 @@ class Persistence:
         look_every_s: float = LOOK_EVERY_S,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._archive, self._catalogue, self._ledger = archive, catalogue, ledger
-        self._compaction, self._idle_check = helpers.compaction, helpers.idle_check
-        self._tiling = helpers.tiling
+        self._archive, self._catalogue, self._set_assessor = archive, catalogue, assessor
+        self._finalizer, self._verification = helpers.compaction, helpers.idle_check
+        self._tiles = helpers.tiling
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
         self._stop, self._moment, self._mono_s = stop, moment, mono_s
-        self._on_trouble, self._look_every_s = on_trouble, look_every_s
+        self._notify_trouble, self._look_every_s = on_trouble, look_every_s
         self._web = helpers.web
         self._web_is_missing: bool | None = None
-        self._told_ids: set[int] = set()
-        self._told_damaged: dict[str, str] = {}
-        self._told_trouble = self._told_compaction = ""
+        self._reported_ids: set[int] = set()
+        self._reported_corruption: dict[str, str] = {}
+        self._reported_trouble = self._reported_finalizing = ""
         self._trouble_until_ns = -1
-        self._backlog = WriteRetryQueue(
+        self._retry_queue = WriteRetryQueue(
             limit_bytes=limit_bytes, on_change=self._report_trouble, refusal=self._refusal, mono_s=mono_s
         )
 
     @property
     def trouble(self) -> Trouble | None:
         """Why the disk takes nothing; None: it does."""
-        return self._backlog.trouble
+        return self._retry_queue.trouble
 
     @property
     def has_room(self) -> bool:
         """Whether another set may be taken."""
-        return self._backlog.has_room
+        return self._retry_queue.has_room
 
     @property
     def waiting(self) -> str:
         """What waits for the disk, in words; empty: nothing."""
         if self.trouble is None:
             return ""
-        return f"{len(self._backlog)} jobs wait in memory for the disk: {self.trouble.message}"
+        return f"{len(self._retry_queue)} jobs wait in memory for the disk: {self.trouble.message}"
 
     def hindered(self, since_utc_ns: int) -> str:
         """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
         is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
-        return "" if is_over else f"the recorder waited for the disk: {self._told_trouble}"
+        return "" if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     # Shots and sets -------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class Persistence:
         except PASSING as error:
             log.warning("not acknowledged yet: %s", error)
             if self.trouble is None:  # nobody should wait for the end of the set to hear it
-                self._backlog.put(self._sync)
+                self._retry_queue.put(self._sync)
             return False
         return True
 
@@ -164,19 +164,19 @@ class Persistence:
 
     def _report_ids(self, shot_ids: Iterable[int]) -> None:
         for shot_id in shot_ids:
-            if shot_id not in self._told_ids:
-                self._told_ids.add(shot_id)
+            if shot_id not in self._reported_ids:
+                self._reported_ids.add(shot_id)
                 self._acknowledged(shot_id)
 
     def were_acknowledged(self, shot_ids: Iterable[int]) -> None:
         """Tell no more of shots that an earlier recorder has told of."""
-        self._told_ids.update(shot_ids)
+        self._reported_ids.update(shot_ids)
 
     def store(self, record: SetRecord) -> StoredSet:
         """Make a whole set durable, and tell the ids of its shots."""
         stored = self._archive.store_set(record)
         self._report_ids(stored.crc32)
-        self._told_ids.difference_update(stored.crc32)
+        self._reported_ids.difference_update(stored.crc32)
         return stored
 
     def post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
@@ -192,20 +192,20 @@ class Persistence:
         def job() -> None:
             if not built:
                 built.append(build())
-            self._ledger.commit(built[0])
+            self._set_assessor.commit(built[0])
             if stored is not None:
                 self.file(stored)
 
-        self._backlog.put(job, n_bytes=n_bytes)
+        self._retry_queue.put(job, n_bytes=n_bytes)
 
     def file(self, set_index: int) -> None:
         """Have a whole set of the journal get its file."""
-        if self._compaction is not None:
-            self._compaction.put(set_index)
+        if self._finalizer is not None:
+            self._finalizer.put(set_index)
 
     def do(self, job: Callable[[], None]) -> None:
         """Do something that the disk may refuse, when all before it is done."""
-        self._backlog.put(job)
+        self._retry_queue.put(job)
 
     def say(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Append an event of the service."""
@@ -214,7 +214,7 @@ class Persistence:
         def job() -> None:
             self._catalogue.add_event(utc_ns=utc_ns, topic="service", kind=kind, payload=payload)
 
-        self._backlog.put(job)
+        self._retry_queue.put(job)
 
     # While the line is idle -----------------------------------------------------------------------
 
@@ -226,25 +226,25 @@ class Persistence:
         free_s
             Time until the next set is due.
         """
-        self._backlog.work()
-        if self._compaction is not None:
-            self._compaction.work()
-            self._report_finalizing(self._compaction.trouble)
+        self._retry_queue.work()
+        if self._finalizer is not None:
+            self._finalizer.work()
+            self._report_finalizing(self._finalizer.trouble)
         if self._history is not None:
             self._history.follow()
-        if self._idle_check is not None and self.trouble is None:
-            self._idle_check.work(free_s)
+        if self._verification is not None and self.trouble is None:
+            self._verification.work(free_s)
         if self.trouble is None:
             self._report_corruption()
-        if self._tiling is not None:
-            self._tiling.work(free_s)
+        if self._tiles is not None:
+            self._tiles.work(free_s)
 
-    def begin_check(self) -> None:
+    def start_verification(self) -> None:
         """Look which stored sets are gone, and tell of those and of what is in quarantine."""
-        if self._idle_check is not None:
-            alarm = self._ledger.alarms.get((None, "data_damaged"))
+        if self._verification is not None:
+            alarm = self._set_assessor.alarms.get((None, "data_damaged"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
-            self._idle_check.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
+            self._verification.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
         self._report_corruption(at_the_start=True)
 
     def wait_for_the_disk(self, idle: Idle) -> None:
@@ -253,24 +253,24 @@ class Persistence:
             self._stop.wait(self._look_every_s)
         if self.trouble is not None and self._disk is not None:
             self._disk.give_back()
-            self._backlog.work(at_once=True)
+            self._retry_queue.work(at_once=True)
         if self.trouble is not None:
-            log.error("%d jobs are lost that no disk took: %s", len(self._backlog), self.trouble.message)
+            log.error("%d jobs are lost that no disk took: %s", len(self._retry_queue), self.trouble.message)
 
     def wait_for_the_worker(self, idle: Idle) -> None:
         """Let no simulated time outrun the files: journal and memory would grow with the test."""
-        while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and idle():
+        while self._finalizer is not None and self._finalizer.n_under_way > MOST_UNDER_WAY and idle():
             self._stop.wait(self._look_every_s / 10.0)
 
     def wait_for_the_files(self, idle: Idle) -> None:
         """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
-        if self._compaction is None or self._stop.is_set():
+        if self._finalizer is None or self._stop.is_set():
             return
         until_s = self._mono_s() + WAIT_FOR_FILES_S
         while idle() and self._mono_s() < until_s:
-            if not self._compaction.waits:
+            if not self._finalizer.waits:
                 break
-            self._compaction.try_again()
+            self._finalizer.try_again()
             self._stop.wait(self._look_every_s)
 
     def leave(self) -> None:
@@ -284,7 +284,7 @@ class Persistence:
         """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
-    def look_at_the_disk(self) -> None:
+    def watch_disk(self) -> None:
         """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
         space = None if self._disk is None else self._disk.look()
         if space is None:
@@ -298,58 +298,60 @@ class Persistence:
 
     def _store_alarm(self, condition: Condition) -> None:
         """Store an alarm now, or as soon as the catalogue takes it."""
-        job = partial(self._ledger.tell, condition, self._moment())
+        job = partial(self._set_assessor.update_alarm, condition, self._moment())
         try:
             job()
         except PASSING as error:
             log.warning("the alarm is stored later: %s", error)
-            self._backlog.put(job)
+            self._retry_queue.put(job)
 
-    def look_at_the_web(self) -> None:
+    def watch_web(self) -> None:
         """Raise the alarm of a web service that is missing, and clear it when it responds."""
         is_missing = None if self._web is None else self._web.is_missing()
         if is_missing in (None, self._web_is_missing):
             return
         moment = self._moment()
         with suppress(*PASSING):  # the next look stores it
-            self._ledger.tell(web_condition(moment.due_h, present=is_missing), moment)
+            self._set_assessor.update_alarm(web_condition(moment.due_h, present=is_missing), moment)
             self._web_is_missing = is_missing
 
     def _report_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
         self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
-            self._told_trouble = trouble.message
+            self._reported_trouble = trouble.message
             try:
-                self._ledger.tell(storage_condition(trouble.message, present=True), self._moment())
+                self._set_assessor.update_alarm(
+                    storage_condition(trouble.message, present=True), self._moment()
+                )
             except PASSING as error:
                 log.warning("the alarm is not stored: %s", error)
         else:  # on record even if the catalogue itself was what took nothing
-            self._store_alarm(storage_condition(self._told_trouble, present=True))
-            self._store_alarm(storage_condition(self._told_trouble, present=False))
-            self._told_compaction = ""  # what still has no file is reported again
-        self._on_trouble()
+            self._store_alarm(storage_condition(self._reported_trouble, present=True))
+            self._store_alarm(storage_condition(self._reported_trouble, present=False))
+            self._reported_finalizing = ""  # what still has no file is reported again
+        self._notify_trouble()
 
     def _report_finalizing(self, trouble: str) -> None:
         """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
-        if bool(trouble) == bool(self._told_compaction) or self.trouble is not None:
+        if bool(trouble) == bool(self._reported_finalizing) or self.trouble is not None:
             return
-        message = trouble or self._told_compaction
-        self._told_compaction = trouble
+        message = trouble or self._reported_finalizing
+        self._reported_finalizing = trouble
         self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
         """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
         damaged = dict(self._archive.journal_damage.files)
-        for helper in (self._compaction, self._idle_check):
+        for helper in (self._finalizer, self._verification):
             damaged |= {} if helper is None else helper.damaged
-        if damaged == self._told_damaged and not at_the_start:
+        if damaged == self._reported_corruption and not at_the_start:
             return
-        new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
-        self._told_damaged = damaged
+        new = {file: told for file, told in damaged.items() if file not in self._reported_corruption}
+        self._reported_corruption = damaged
         for file, told in new.items():
             log.error("%s: %s", file, told)
             self.say("data_damaged", {"file": file, "told": told})
         aside = [file for file in self._archive.quarantined() if file not in damaged]
         condition = damage_condition(aside, damaged)
-        self._backlog.put(partial(self._ledger.tell, condition, self._moment()))
+        self._retry_queue.put(partial(self._set_assessor.update_alarm, condition, self._moment()))

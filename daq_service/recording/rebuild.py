@@ -30,7 +30,7 @@ from daq_service.catalogue.owner import experiment_identity, refuse_other_experi
 from daq_service.catalogue.salvage import Salvaged, salvaged
 from daq_service.processes.lost_catalogue import history_of
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
-from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
+from daq_service.recording.replay import FeaturesOf, Replayed, StoredHistory, replay
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently, sync_folder
@@ -102,7 +102,9 @@ def rebuild(
         )
     if settings is not None:
         refuse_other_experiment(experiment, folder, settings)
-    told = Told(events={**history.events, **kept.events}, digests={**history.digests, **kept.digests})
+    stored = StoredHistory(
+        events={**history.events, **kept.events}, digests={**history.digests, **kept.digests}
+    )
     orders = {**history.commands, **kept.commands}
     place = folder / BUILDING
     try:
@@ -111,7 +113,7 @@ def rebuild(
         with open_catalogue(place, writer=True) as catalogue:
             catalogue.restore([experiment, *orders.values()])
             its_settings = stored_settings(experiment.configuration)
-            found = replay(its_settings, experiment, archive, catalogue, told, progress, features_of)
+            found = replay(its_settings, experiment, archive, catalogue, stored, progress, features_of)
             refuse_foreign(found.foreign, str(folder))
             catalogue.recount()
             n_events = catalogue.counts()["events"]
@@ -149,13 +151,13 @@ def _replace(folder: Path, place: Path) -> str:
     new, path = place / FILE_NAME, folder / FILE_NAME
     _sync(new)
     kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"
-    beside = [ending for ending in ("", "-wal", "-shm") if path.with_name(FILE_NAME + ending).exists()]
-    for ending in beside:
+    endings = [ending for ending in ("", "-wal", "-shm") if path.with_name(FILE_NAME + ending).exists()]
+    for ending in endings:
         old = path.with_name(FILE_NAME + ending)
         patiently(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
     patiently(lambda: new.replace(path))
     sync_folder(folder)
-    return kept if "" in beside else ""
+    return kept if "" in endings else ""
 
 
 def _sync(path: Path) -> None:
@@ -177,9 +179,9 @@ def _update_copies(folder: Path, progress: Progress) -> list[str]:
 
 def _warnings(history: History, kept: Salvaged, found: Replayed, not_tiled: list[str]) -> list[str]:
     def some(lines: Iterable[str], what: str) -> list[str]:
-        told = list(lines)
-        return [f"{what}: {line}" for line in told[:10]] + (
-            [f"{what}: {len(told) - 10} more"] if len(told) > 10 else []
+        listed = list(lines)
+        return [f"{what}: {line}" for line in listed[:10]] + (
+            [f"{what}: {len(listed) - 10} more"] if len(listed) > 10 else []
         )
 
     return [

@@ -63,7 +63,7 @@ one comes at once, since nobody knows how long the boards have been warm."""
 
 OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
-Teller = Callable[..., None]
+Reporter = Callable[..., None]
 FeaturesOf = Callable[[Shot], ShotFeatures]
 NO_HELPERS = Helpers()
 
@@ -85,9 +85,9 @@ class Recorder:
         live: LiveFigure,
         heartbeat: Heartbeat,
         stop: threading.Event,
-        tell: Teller,
+        report: Reporter,
         features_of: FeaturesOf = features_of,
-        left_alone: threading.Event | None = None,
+        unsupervised: threading.Event | None = None,
         helpers: Helpers = NO_HELPERS,
         mono_s: Callable[[], float] = time.monotonic,
         look_every_s: float = LOOK_EVERY_S,
@@ -101,11 +101,11 @@ class Recorder:
         self._heartbeat = heartbeat
         self._stop = stop
         self._look_every_s = look_every_s
-        self._tell = tell
-        self._left_alone = left_alone or threading.Event()
-        self._doing, self._asks = "starting", ""
+        self._report = report
+        self._unsupervised = unsupervised or threading.Event()
+        self._doing, self._request = "starting", ""
         self._newest: DueSet | None = None
-        self._taken_up: set[int] = set()
+        self._started_unscheduled: set[int] = set()
         self._calibrated_ns: int | None = None
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
         self._archive = archive
@@ -117,7 +117,7 @@ class Recorder:
         self._free_until_ns: float = -math.inf
         done = catalogue.committed_sets()
         self._open = dict(archive.open_sets())
-        self._orphans = {
+        self._rowless_files = {
             index: file
             for index, file in archive.sets().items()
             if index not in done and index not in self._open
@@ -126,11 +126,13 @@ class Recorder:
             if opened.is_dated:
                 refuse_foreign_open_set(opened, self._plan, archive.name)
         self._cost, self._machine = Cost(), helpers.machine
-        self._ledger = SetAssessor(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
-        self._kept = Persistence(
+        self._set_assessor = SetAssessor(
+            settings, archive, catalogue, rig, self._cost, remote_drive, news=report
+        )
+        self._persistence = Persistence(
             archive,
             catalogue,
-            self._ledger,
+            self._set_assessor,
             helpers,
             limit_bytes=settings.storage.memory_mb * 10**6,
             stop=stop,
@@ -141,7 +143,7 @@ class Recorder:
         )
         damage = archive.journal_damage
         where = f"its part of the journal was damaged: {', '.join(damage.files)}"
-        self._damaged = dict.fromkeys(damage.sets, where)
+        self._corruption_of = dict.fromkeys(damage.sets, where)
         self._open = {
             index: opened if opened.is_dated else self._dated(opened) for index, opened in self._open.items()
         }
@@ -150,33 +152,33 @@ class Recorder:
             if not opened.records:
                 archive.settle(index)
             elif index in damage.sets:
-                self._kept.do(partial(self._end_again, opened))
+                self._persistence.do(partial(self._end_again, opened))
             else:
-                self._kept.file(index)  # a frame of it is damaged: that is told, and the others stay
+                self._persistence.file(index)  # a frame of it is damaged: that is told, and the others stay
         sequences = [item.sequence + 1 for opened in self._open.values() for item in opened.records]
         known = [catalogue.next_sequence(), damage.next_sequence, *sequences]
         self._next_sequence = max(known) + damage.n_lost
         self._next_set = 0
-        drive = self._ledger.drive
+        drive = self._set_assessor.drive
         test = RunningTest(
             clock=rig.clock,
             moment=self._moment,
             stop=stop,
-            alarms=self._ledger.alarms,
+            alarms=self._set_assessor.alarms,
             annotations=lambda: catalogue.rows(AnnotationRow),
-            store=self._ledger.commit,
-            reinstated=self._ledger.reinstated,
-            confirmation=self._order_confirmation,
+            store=self._set_assessor.commit,
+            reinstated=self._set_assessor.reinstated,
+            confirmation=self._request_confirmation,
             settings=settings,
             next_set=lambda: self._next_set,
             baseline=catalogue.baseline,
-            renewed=self._ledger.renewed,
+            renewed=self._set_assessor.renewed,
             positions=settings.names_of(SOLITARY_WAVE),
             supply=drive if drive is not None and drive.has_supply else None,
         )
-        adopt = self._ledger.adopt
-        self._orders = CommandExecutor(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
-        rig.asking.listen(self._asked)
+        adopt = self._set_assessor.adopt
+        self._commands = CommandExecutor(catalogue, test, listen_every_s=listen_every_s, adopt=adopt)
+        rig.asking.listen(self._report_request)
 
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due; False when told to stop.
@@ -195,42 +197,44 @@ class Recorder:
             "before": not_running_reason,
             "versions": self._provenance["versions"],
         }
-        self._kept.do(self._orders.begin)
-        self._kept.say("recorder_started", started)
-        self._set_damaged_aside()
-        self._tell("begun")
+        self._persistence.do(self._commands.begin)
+        self._persistence.say("recorder_started", started)
+        self._quarantine_corrupt_files()
+        self._report("begun")
         absences = self._wait_for_a_set_clock(not_running_reason, opening)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 self._newest = due
                 continue
-            self._confirm(before=due)
-            self._next_set = due.set_index + (due.set_index in self._open or due.set_index in self._orphans)
-            if not (self._adopt(due) or self._miss(due, absences)):
+            self._take_unscheduled(before=due)
+            self._next_set = due.set_index + (
+                due.set_index in self._open or due.set_index in self._rowless_files
+            )
+            if not (self._adopt_stored_set(due) or self._close_overdue(due, absences)):
                 self._take_when_due(due)
             self._newest = due
-            if not self._stop.is_set() and not self._may_run_ahead:
-                self._kept.wait_for_the_disk(self._idle)
-                self._kept.wait_for_the_worker(self._idle)
+            if not self._stop.is_set() and not self._in_real_time:
+                self._persistence.wait_for_the_disk(self._idle)
+                self._persistence.wait_for_the_worker(self._idle)
             if self._stop.is_set():
                 break
-            self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
-        self._confirm()
+            self._report("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        self._take_unscheduled()
         self._newest = None
-        self._kept.wait_for_the_disk(self._idle)
-        self._kept.wait_for_the_files(self._idle)
+        self._persistence.wait_for_the_disk(self._idle)
+        self._persistence.wait_for_the_files(self._idle)
         finished = not self._stop.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
-        drive = None if self._left_alone.is_set() else self._ledger.drive
+        drive = None if self._unsupervised.is_set() else self._set_assessor.drive
         supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
-        stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
+        stopped = "recorder_left_alone" if self._unsupervised.is_set() else "recorder_stopped"
         self._heartbeat.stage = "ended"
         self._doing = "leaving"
         self._heartbeat.beat(self._doing_now(), at_once=True)
-        self._kept.say("schedule_done" if finished else stopped, farewell)
+        self._persistence.say("schedule_done" if finished else stopped, farewell)
         if finished:
-            self._kept.wait_for_the_disk(self._idle)
+            self._persistence.wait_for_the_disk(self._idle)
         return finished
 
     def linger(self) -> None:
@@ -243,10 +247,10 @@ class Recorder:
     def leave(self) -> None:
         """Tell whoever gave an order that was not begun: nobody will carry it out."""
         try:
-            self._orders.close("the recorder has ended")
+            self._commands.close("the recorder has ended")
         except (StorageError, OSError) as error:
             log.warning("open orders are not answered; the next recorder does it: %s", error)
-        self._kept.leave()
+        self._persistence.leave()
 
     # One set -----------------------------------------------------------------------------------
 
@@ -254,41 +258,41 @@ class Recorder:
         self._calibrate_before(due)
         self._doing = f"waiting for set {due.set_index}"
         # Simulated time has no idle hours: there files are checked after the last set.
-        self._free_until_ns = due.due_utc_ns if self._may_run_ahead else -math.inf
+        self._free_until_ns = due.due_utc_ns if self._in_real_time else -math.inf
         while not self._rig.clock.wait_until(due.due_utc_ns, self._idle_unless_asked):
             if self._stop.is_set():
                 return
-            self._confirm(before=due)
+            self._take_unscheduled(before=due)
             self._doing = f"waiting for set {due.set_index}"
-        if self._miss(due):
+        if self._close_overdue(due):
             return
         self._newest = due
         self._take_now(due)
 
     def _take_now(self, due: DueSet) -> None:
-        if self._orders.held:
-            self._gap(due, self._orders.held)
+        if self._commands.held:
+            self._record_gap(due, self._commands.held)
             return
-        if self._kept.trouble is not None and not self._kept.has_room:
-            self._gap(due, f"the memory for what waits is full: {self._kept.trouble.message}")
+        if self._persistence.trouble is not None and not self._persistence.has_room:
+            self._record_gap(due, f"the memory for what waits is full: {self._persistence.trouble.message}")
             return
-        self._begin(f"taking {_named(due)}")
+        self._announce(f"taking {_name_of(due)}")
         if due.position is None:
             self._next_set = due.set_index + 1
-        taken = self._begun(due)
+        taken = self._started_set(due)
         self._take(due, taken)
         if self._stays_open(taken):
             return
         if not taken.is_empty:
-            self._store_and_judge(due, taken)
+            self._persist_and_assess(due, taken)
         elif not self._stop.is_set():
             causes = {name: self._shortfall(name, taken) for name in self._places(due)}
-            self._kept.post(
-                partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken)
+            self._persistence.post(
+                partial(self._set_assessor.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken)
             )
             self._archive.settle(due.set_index)
         # else: the set is still due after a restart
-        if taken.trouble is not None and not self._may_pass(taken.trouble):
+        if taken.trouble is not None and not self._is_transient(taken.trouble):
             raise RigError(
                 f"set {due.set_index} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
                 "are stored"
@@ -296,43 +300,43 @@ class Recorder:
 
     # Beside the plan -----------------------------------------------------------------------------
 
-    def _confirm(self, *, before: DueSet | None = None) -> None:
+    def _take_unscheduled(self, *, before: DueSet | None = None) -> None:
         """Take the sets beside the plan that are asked for, as far as planned sets leave time for them."""
-        for due in self._beside():
+        for due in self._requested_sets():
             planned, _ = in_order(due.set_index)
             if self._stop.is_set() or (before is not None and planned >= before.set_index):
                 continue
-            self._taken_up.add(due.set_index)
-            if self._adopt(due):
+            self._started_unscheduled.add(due.set_index)
+            if self._adopt_stored_set(due):
                 continue
             if cause := self._no_time_for(due, self._plan[planned]):
-                self._gap(due, cause)
+                self._record_gap(due, cause)
             else:
                 self._take_now(due)
 
-    def _beside(self) -> list[DueSet]:
+    def _requested_sets(self) -> list[DueSet]:
         """List what waits, in the order of the sets; what is taken up waits for the disk at most."""
-        asked = {index: one.due for index, one in self._ledger.confirmations.waiting.items()}
+        asked = {index: one.due for index, one in self._set_assessor.confirmations.waiting.items()}
         for index, opened in self._open.items():
             if purpose_of(index) != "planned":  # its catalogue was lost, and who asked for it with that
                 (position,) = (name for name in self._settings.positions if name not in opened.retired)
                 due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
                 due = DueSet(set_index=index, due_h=due_h, due_utc_ns=opened.due_utc_ns, position=position)
                 asked.setdefault(index, due)
-        return [asked[index] for index in sorted(asked.keys() - self._taken_up, key=in_order)]
+        return [asked[index] for index in sorted(asked.keys() - self._started_unscheduled, key=in_order)]
 
     def _no_time_for(self, due: DueSet, planned: DueSet) -> str:
         """Why a set beside the plan comes too late, or strikes a retired transducer; empty: it does not."""
         assert due.position is not None, "it is beside the plan"
-        if retired := self._ledger.retired().get(due.position):
+        if retired := self._set_assessor.retired().get(due.position):
             return retired
         now_ns = self._rig.clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
-            return self._kept.hindered(due.due_utc_ns) or OVERSLEPT
-        beside = self._ledger.confirmations
+            return self._persistence.hindered(due.due_utc_ns) or OVERSLEPT
+        beside = self._set_assessor.confirmations
         return no_room(beside.room_ns(planned, now_ns), beside.set_ns)
 
-    def _order_confirmation(self, position: str, author: str, note: str) -> Transaction:
+    def _request_confirmation(self, position: str, author: str, note: str) -> Transaction:
         """Ask for a set beside the plan by a person's order; it is taken once the line is free.
 
         Raises
@@ -344,7 +348,7 @@ class Recorder:
             raise ValueError(
                 "no planned set was taken yet, or none is left: nothing is struck beside the plan"
             )
-        return self._ledger.order_confirmation(self._newest, position, author, note, self._moment())
+        return self._set_assessor.order_confirmation(self._newest, position, author, note, self._moment())
 
     def _places(self, due: DueSet) -> list[str]:
         return list(self._settings.positions) if due.position is None else [due.position]
@@ -358,9 +362,9 @@ class Recorder:
         }
 
     def _idle_unless_asked(self) -> bool:
-        return self._idle() and not self._beside()
+        return self._idle() and not self._requested_sets()
 
-    def _begun(self, due: DueSet) -> TakenSet:
+    def _started_set(self, due: DueSet) -> TakenSet:
         """Begin a set, or take up one that the last recorder left open."""
         opened = self._open.pop(due.set_index, None)
         if opened is not None:
@@ -369,7 +373,7 @@ class Recorder:
         taken = TakenSet(
             rule=self._restrike_rule(),
             # As it stands now: an order during the set changes what is struck, not what was planned.
-            retired=self._ledger.retired() | self._not_of(due),
+            retired=self._set_assessor.retired() | self._not_of(due),
             started_ns=self._rig.clock.utc_ns(),
         )
         self._archive.begin_set(
@@ -387,7 +391,7 @@ class Recorder:
         taken.restore(opened)
         taken.features.update({shot.sequence: self._features_of(shot) for shot in taken.shots})
         taken.ended_ns = opened.last_utc_ns
-        self._kept.were_acknowledged(item.sequence for item in opened.records)
+        self._persistence.were_acknowledged(item.sequence for item in opened.records)
         log.warning("set %d goes on: %d records of it are there", opened.set_index, len(opened.records))
         return taken
 
@@ -399,7 +403,9 @@ class Recorder:
         struck = {item.key.position for item in (*opened.records, *opened.missed)}
         planned = purpose_of(index) == "planned"
         left_out = (
-            self._ledger.retired() if planned else dict.fromkeys(self._settings.positions, "not asked for")
+            self._set_assessor.retired()
+            if planned
+            else dict.fromkeys(self._settings.positions, "not asked for")
         )
         return replace(
             opened,
@@ -415,10 +421,10 @@ class Recorder:
         else:
             due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
             due = DueSet(set_index=opened.set_index, due_h=due_h, due_utc_ns=opened.due_utc_ns)
-            record = self._record_of(due, self._restored(opened), self._damaged[opened.set_index])
+            record = self._record_of(due, self._restored(opened), self._corruption_of[opened.set_index])
         self._archive.resume_set(opened)
         self._archive.store_set(record)
-        self._kept.file(opened.set_index)
+        self._persistence.file(opened.set_index)
 
     def _restrike_rule(self) -> RestrikeRule:
         quality = self._settings.quality
@@ -427,11 +433,11 @@ class Recorder:
 
     def _stays_open(self, taken: TakenSet) -> bool:
         """Leave a set that a stop cut short to the next recorder, whose shots the journal keeps."""
-        planned = {name: self._ledger.n_planned(name) for name in self._settings.positions}
-        cut = self._stop.is_set() and not self._orders.held and taken.trouble is None
+        planned = {name: self._set_assessor.n_planned(name) for name in self._settings.positions}
+        cut = self._stop.is_set() and not self._commands.held and taken.trouble is None
         if not cut or taken.is_complete(planned):
             return False
-        return self._kept.acknowledge()
+        return self._persistence.acknowledge()
 
     def _take(self, due: DueSet, taken: TakenSet) -> None:
         """Strike and read; whatever happens, what came before it is kept."""
@@ -454,7 +460,7 @@ class Recorder:
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
             wants_restrike=taken.wants_restrike,
-            may_strike=lambda position: position not in self._ledger.retired(),
+            may_strike=lambda position: position not in self._set_assessor.retired(),
         )
         try:
             while True:
@@ -475,35 +481,35 @@ class Recorder:
             return
         self._archive.append(measurement, measurement.stamp.utc_ns)
         if self._settings.clock.kind == "wall":  # simulated time has no crash between two shots
-            self._kept.acknowledge()
+            self._persistence.acknowledge()
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
                 taken.features[measurement.sequence] = self._features_of(measurement)
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
-    def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
+    def _persist_and_assess(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
-        self._begin(f"storing {_named(due)}")
-        record = self._record_of(due, taken, self._damaged.get(due.set_index, cut_short_reason))
+        self._announce(f"storing {_name_of(due)}")
+        record = self._record_of(due, taken, self._corruption_of.get(due.set_index, cut_short_reason))
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
         # Now, and not when the disk takes the set.
         machine = None if self._machine is None else self._machine.read(self._cost)
 
-        def judged() -> Transaction:
-            stored = self._kept.store(record)
+        def assess() -> Transaction:
+            stored = self._persistence.store(record)
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
-            self._doing = f"judging {_named(due)}"
-            transaction = self._ledger.judged(due, record, stored.file, taken.features)
+            self._doing = f"judging {_name_of(due)}"
+            transaction = self._set_assessor.assessed(due, record, stored.file, taken.features)
             if machine is not None and due.position is None:
                 moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
                 transaction.tell(MACHINE_READ, machine, moment, topic="machine")
             return transaction
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
-        self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
+        self._persistence.post(assess, n_bytes=n_bytes, stored=due.set_index)
 
     def _record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         return SetRecord(
@@ -519,7 +525,7 @@ class Recorder:
             missed=taken.missed_records(),
             outcomes=taken.superseded(),
             trouble=taken.instrument_error(),
-            environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
+            environment={} if self._set_assessor.drive is None else self._set_assessor.drive.summary(),
             provenance=self._provenance,
         )
 
@@ -533,23 +539,23 @@ class Recorder:
         has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
         if age_h < interval_h or not has_time:
             return
-        self._begin(f"self-calibration before set {due.set_index}")
+        self._announce(f"self-calibration before set {due.set_index}")
         try:
             told = self_calibrating.self_calibrate()
         except InstrumentError as error:
-            if not self._may_pass(error):
+            if not self._is_transient(error):
                 raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
             log.warning("self-calibration before set %d failed: %s", due.set_index, error)
             told = {"failed": str(error)}
         self._calibrated_ns = now_ns
-        self._kept.say("self_calibrated", dict(told))
+        self._persistence.say("self_calibrated", dict(told))
 
     def _position_records(self, taken: TakenSet, cut_short_reason: str) -> list[PositionRecord]:
         return [
             PositionRecord(
                 position=name,
                 method=place.method,
-                n_planned=self._ledger.n_planned(name),
+                n_planned=self._set_assessor.n_planned(name),
                 cause=self._shortfall(name, taken, cut_short_reason),
                 label=place.label,
                 serial_number=place.serial_number,
@@ -559,56 +565,56 @@ class Recorder:
         ]
 
     def _shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
-        told_to = (
+        no_more_reason = (
             cut_short_reason
-            or self._ledger.retired().get(position)
-            or self._orders.held
+            or self._set_assessor.retired().get(position)
+            or self._commands.held
             or "the recorder was told to stop"
         )
-        return taken.shortfall(position, self._ledger.n_planned(position), told_to)
+        return taken.shortfall(position, self._set_assessor.n_planned(position), no_more_reason)
 
-    def _may_pass(self, trouble: InstrumentError) -> bool:
+    def _is_transient(self, trouble: InstrumentError) -> bool:
         """Whether the next set may go better.
 
         A board that is busy or gone may be free or back by then; of one that has taken a whole set here
         nothing is believed for good.
         """
-        return self._ledger.proven or isinstance(trouble, BusyError | ConnectionLostError)
+        return self._set_assessor.proven or isinstance(trouble, BusyError | ConnectionLostError)
 
     # Sets that were taken already, or cannot be taken any more -----------------------------------
 
-    def _adopt(self, due: DueSet) -> bool:
+    def _adopt_stored_set(self, due: DueSet) -> bool:
         """Take over a file without rows: the last recorder died between rename and commit."""
-        file = self._orphans.get(due.set_index)
+        file = self._rowless_files.get(due.set_index)
         if file is None:
             return False
         record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._archive.digest(file)
-        judged = partial(self._ledger.judged, due, record, file, features, sha256=sha256)
-        self._kept.post(judged)
+        assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
+        self._persistence.post(assess)
         if sha256 is None:  # it is still in the journal
-            self._kept.do(partial(self._kept.file, due.set_index))
+            self._persistence.do(partial(self._persistence.file, due.set_index))
         self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
         self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
         return True
 
-    def _set_damaged_aside(self) -> None:
+    def _quarantine_corrupt_files(self) -> None:
         """Let no damaged file without rows block the start: its set is due again, or missed."""
-        for set_index, file in list(self._orphans.items()):
+        for set_index, file in list(self._rowless_files.items()):
             try:
                 why = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
                 refuse_foreign([f"{file}: {why}"] if why else [], self._archive.name)
             except CorruptArchiveError as error:
                 log.error("set %d is set aside: %s", set_index, error)
                 self._archive.set_aside(file)
-                del self._orphans[set_index]
-                self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
-        self._kept.begin_check()
+                del self._rowless_files[set_index]
+                self._corruption_of[set_index] = f"its file was damaged and is set aside ({error})"
+        self._persistence.start_verification()
 
-    def _miss(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
+    def _close_overdue(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
         """Close a set whose time is over, since the next one is due.
 
         Parameters
@@ -621,21 +627,21 @@ class Recorder:
         if self._rig.clock.utc_ns() < over_ns:
             return False
         cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), "")
-        self._gap(due, cause or self._kept.hindered(due.due_utc_ns) or OVERSLEPT)
+        self._record_gap(due, cause or self._persistence.hindered(due.due_utc_ns) or OVERSLEPT)
         return True
 
-    def _gap(self, due: DueSet, cause: str) -> None:
+    def _record_gap(self, due: DueSet, cause: str) -> None:
         """Take no strike of a set: store what an open one holds, else write gap rows."""
-        cause = self._damaged.get(due.set_index, cause)
+        cause = self._corruption_of.get(due.set_index, cause)
         opened = self._open.pop(due.set_index, None)
         if opened is not None and opened.records:
             self._archive.resume_set(opened)
-            self._store_and_judge(due, self._restored(opened), cut_short_reason=cause)
+            self._persist_and_assess(due, self._restored(opened), cut_short_reason=cause)
             return
         self._archive.settle(due.set_index)
         causes = dict.fromkeys(self._places(due), cause)
         utc_ns = self._rig.clock.utc_ns()
-        self._kept.post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
+        self._persistence.post(partial(self._set_assessor.nothing_taken, due, causes, utc_ns=utc_ns))
 
     # A clock that cannot be believed, or is set ---------------------------------------------------
 
@@ -661,82 +667,82 @@ class Recorder:
             return []
         if believed is not None:
             log.warning("%s", believed.message)
-            self._kept.say(CLOCK_BELIEVED, asdict(believed))
+            self._persistence.say(CLOCK_BELIEVED, asdict(believed))
         self._report_clock("")
         now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
         offset_ns = now_ns - clock.mono_ns()
         opened = [(offset_ns + began_ns, not_running_reason)]
         if opening is not None:
-            opened = [(offset_ns + opening.since_mono_ns, not_running_reason), (opened[0][0], opening.told)]
+            opened = [(offset_ns + opening.since_mono_ns, not_running_reason), (opened[0][0], opening.text)]
         return [*opened, (now_ns, waited)]
 
     def _report_clock(self, doubt: str) -> None:
-        self._kept.do(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))
+        self._persistence.do(partial(self._set_assessor.update_alarm, doubt_condition(doubt), self._moment()))
 
     def _report_clock_steps(self) -> None:
         if isinstance(self._rig.clock, WallClock):
             for step in self._rig.clock.steps():
                 log.warning("%s", step.message)
-                self._kept.say(CLOCK_STEP, asdict(step))
+                self._persistence.say(CLOCK_STEP, asdict(step))
 
     # A person who strikes ------------------------------------------------------------------------
 
-    def _asked(self, text: str, key: ShotKey | None) -> None:
+    def _report_request(self, text: str, key: ShotKey | None) -> None:
         """Pass on what an instrument asks a person to do now; an empty text: nothing any more."""
-        self._asks = text and f"waiting for a person: {text}"
+        self._request = text and f"waiting for a person: {text}"
         # The record is waited for from here on, as long as the heartbeat's deadline allows.
         self._heartbeat.beat(self._doing_now(), at_once=True)
         if not text:
-            self._kept.say(ASKED_OVER, {})
-            self._tell(ASKED_OVER)
+            self._persistence.say(ASKED_OVER, {})
+            self._report(ASKED_OVER)
             return
         shot = {} if key is None else asdict(key)
         asked = {"text": text, **shot, "within_s": self._settings.rig.read_timeout_s}
-        self._kept.say(ASKED, asked)
-        self._tell(ASKED, **asked)
+        self._persistence.say(ASKED, asked)
+        self._report(ASKED, **asked)
 
     # Operator and supervisor ---------------------------------------------------------------------
 
     @property
-    def _may_run_ahead(self) -> bool:
+    def _in_real_time(self) -> bool:
         """Strike on while sets wait in memory: only real time goes on without us."""
         return self._settings.clock.kind == "wall"
 
     def _doing_now(self) -> str:
-        return "; ".join(filter(None, (self._doing, self._asks, self._kept.waiting)))
+        return "; ".join(filter(None, (self._doing, self._request, self._persistence.waiting)))
 
-    def _begin(self, doing: str) -> None:
+    def _announce(self, doing: str) -> None:
         """Say at once what is begun: should it never end, the supervisor tells what hung."""
         self._doing = doing
         self._heartbeat.beat(self._doing_now())
 
     def _idle(self) -> bool:
         """Between sets there is time for what works beside the line."""
-        self._kept.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
-        return self._look_around()
+        self._persistence.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
+        return self._beat_and_listen()
 
     def _idle_in_a_set(self) -> bool:
         """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
-        return self._look_around() and not self._orders.held
+        return self._beat_and_listen() and not self._commands.held
 
-    def _look_around(self) -> bool:
+    def _beat_and_listen(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._report_clock_steps()
-        self._kept.look_at_the_web()
-        self._kept.look_at_the_disk()
+        self._persistence.watch_web()
+        self._persistence.watch_disk()
         self._heartbeat.beat(self._doing_now())
-        if self._kept.trouble is None:
-            self._kept.do(self._hear)
+        if self._persistence.trouble is None:
+            self._persistence.do(self._listen)
         else:
             with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
-                self._hear()
-        if self._ledger.drive is not None:
-            self._ledger.drive.tick(self._hour())
+                self._listen()
+        if self._set_assessor.drive is not None:
+            self._set_assessor.drive.tick(self._hour())
         return not self._stop.is_set()
 
-    def _hear(self) -> None:
-        self._orders.listen()
-        self._ledger.expire_shelves(self._moment())
+    def _listen(self) -> None:
+        self._commands.listen()
+        self._set_assessor.expire_shelves(self._moment())
 
     def _moment(self) -> Moment:
         return Moment(utc_ns=self._rig.clock.utc_ns(), due_h=self._hour(), set_index=None)
@@ -745,5 +751,5 @@ class Recorder:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
 
 
-def _named(due: DueSet) -> str:
+def _name_of(due: DueSet) -> str:
     return f"set {due.set_index}" if due.position is None else f"a confirmation set at {due.position}"

@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
 
-_TOLD_ROWS: Mapping[str, type[Row]] = {
+_STORED_ROWS: Mapping[str, type[Row]] = {
     "set_done": SetRow,
     "set_partial": SetRow,
     "set_missed": SetRow,
@@ -65,7 +65,7 @@ _COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class StoredHistory:
     """What is known of a test beside its sets.
 
     Attributes
@@ -105,7 +105,7 @@ def replay(
     experiment: ExperimentRow,
     archive: SetReader,
     catalogue: RecorderCatalogue,
-    told: Told,
+    history: StoredHistory,
     progress: Callable[[int, int], None],
     features_of: FeaturesOf = features_of,
 ) -> Replayed:
@@ -116,7 +116,7 @@ def replay(
     progress
         Called with the sets that are done and their number.
     """
-    return _Replay(settings, experiment, archive, catalogue, told, features_of).run(progress)
+    return _Replay(settings, experiment, archive, catalogue, history, features_of).run(progress)
 
 
 class _Replay:
@@ -126,14 +126,14 @@ class _Replay:
         experiment: ExperimentRow,
         archive: SetReader,
         catalogue: RecorderCatalogue,
-        told: Told,
+        history: StoredHistory,
         features_of: FeaturesOf,
     ) -> None:
         self._settings, self._experiment = settings, experiment
-        self._archive, self._catalogue, self._told = archive, catalogue, told
+        self._archive, self._catalogue, self._history = archive, catalogue, history
         self._rehearsal = settings.rig.dry_run
         self._features_of = features_of_a_rehearsal if self._rehearsal else features_of
-        self._ledger = self._new_ledger()
+        self._set_assessor = self._new_ledger()
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
         self._result = Replayed()
@@ -146,28 +146,28 @@ class _Replay:
     def run(self, progress: Callable[[int, int], None]) -> Replayed:
         files = dict(self._archive.sets())
         total = len(files)
-        experiment_text = {
-            event.set_index for event in self._told.events.values() if event.set_index is not None
+        with_events = {
+            event.set_index for event in self._history.events.values() if event.set_index is not None
         }
-        untold = sorted(files.keys() - experiment_text, key=in_order)
-        runs = list(_runs(self._told.events))
+        without_events = sorted(files.keys() - with_events, key=in_order)
+        runs = list(_runs(self._history.events))
         for number, (set_index, events) in enumerate(runs):
             if set_index is None:
                 self._pass(events)
                 continue
             # A set of which every event is lost is told before the next one.
-            while untold and in_order(untold[0]) < in_order(set_index):
-                self._judge(untold[0], files.pop(untold.pop(0)), [], range(0))
+            while without_events and in_order(without_events[0]) < in_order(set_index):
+                self._assess(without_events[0], files.pop(without_events.pop(0)), [], range(0))
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
             reference = files.pop(set_index, None)
             if reference is None:
-                self._tell(events)
+                self._restore_rows(events)
             else:
-                self._judge(set_index, reference, events, free)
+                self._assess(set_index, reference, events, free)
             progress(total - len(files), total)
         for set_index in sorted(files, key=in_order):
             reference = files[set_index]
-            self._judge(set_index, reference, [], range(0))
+            self._assess(set_index, reference, [], range(0))
             progress(total, total)
         self._catalogue.restore(self._alarms.values())
         self._catalogue.commit_set(Transaction(events=self._late))
@@ -179,42 +179,43 @@ class _Replay:
         for event in events:
             self._take_alarm(event)
             if event.topic == "annotations":
-                self._catalogue.restore([_told_with_id(AnnotationRow, event, "annotation_id")])
+                self._catalogue.restore([_row_with_id(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
-                self._catalogue.restore([_told_with_id(BaselineRow, event, "id")])
-                self._ledger.renewed(str(event.position))
+                self._catalogue.restore([_row_with_id(BaselineRow, event, "id")])
+                self._set_assessor.renewed(str(event.position))
             retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
             if retired and event.position in self._settings.positions:
-                self._ledger.reinstated(event.position)
+                self._set_assessor.reinstated(event.position)
 
     def _take_alarm(self, event: EventRow) -> None:
-        self._ledger.take_stored(event)
+        self._set_assessor.take_stored(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
-            row = _told_with_id(AlarmRow, event, "alarm_id")
+            row = _row_with_id(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
-            self._ledger.alarms[(row.position, row.kind)] = row
+            self._set_assessor.alarms[(row.position, row.kind)] = row
 
-    def _tell(self, events: Sequence[EventRow]) -> None:
+    def _restore_rows(self, events: Sequence[EventRow]) -> None:
         """Give a set without a record the rows that were told of it."""
-        transaction = _as_told(Transaction(), events)
-        transaction.sets = self._told_sets(transaction.sets)
+        transaction = _with_stored_rows(Transaction(), events)
+        transaction.sets = self._completed_sets(transaction.sets)
         self._commit(transaction, events)
         for row in transaction.sets:
             if row.purpose is None and row.state != "retired" and not row.n_taken and row.n_missed:
-                self._ledger.passed(row)
+                self._set_assessor.passed(row)
         if any(row.n_taken for row in transaction.sets):
             self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
-            self._ledger = self._renewed()
+            self._set_assessor = self._renewed()
 
-    def _told_sets(self, told: Sequence[SetRow]) -> list[SetRow]:
+    def _completed_sets(self, stored: Sequence[SetRow]) -> list[SetRow]:
         """Complete rows that were told: no event tells of a position left out of a set with records."""
-        rows = {row.position: row for row in told}
-        of_the_plan = told and told[0].purpose is None
-        for position, cause in self._ledger.retired().items() if of_the_plan else ():
-            due = DueSet(set_index=told[0].set_index, due_h=told[0].due_h, due_utc_ns=told[0].due_utc_ns)
-            retired = self._ledger.without_records(due, position, retired=True, cause=cause)
+        rows = {row.position: row for row in stored}
+        of_the_plan = stored and stored[0].purpose is None
+        for position, cause in self._set_assessor.retired().items() if of_the_plan else ():
+            first = stored[0]
+            due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
+            retired = self._set_assessor.without_records(due, position, retired=True, cause=cause)
             rows.setdefault(position, retired)
-        digests = self._told.digests
+        digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
         return [rows[position] for position in self._settings.positions if position in rows]
 
@@ -225,9 +226,9 @@ class _Replay:
             return self._new_ledger()
         except ArchiveError as error:
             self._result.damaged.append(f"judged on without it: {error}")
-            return self._ledger
+            return self._set_assessor
 
-    def _judge(
+    def _assess(
         self, set_index: int, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]
     ) -> None:
         damage = ""
@@ -240,7 +241,7 @@ class _Replay:
                 record = self._archive.read_set(reference, skip_damaged=True)
             except ArchiveError:
                 if events:
-                    self._tell(events)
+                    self._restore_rows(events)
                 return
         if why := foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
@@ -248,27 +249,27 @@ class _Replay:
         due = due_of(record)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
-        transaction = self._ledger.judged(due, record, reference, features, sha256=sha256)
+        transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
             found = differing(record.results, again)
-            self._result.differing += [f"set {set_index}, its file: {told}" for told in found]
+            self._result.differing += [f"set {set_index}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
         computed = list(transaction.events)
         if events:
             if not damage:
                 self._result.differing += _differences(computed, events)
-            _as_told(transaction, events, all_rows=bool(damage))
+            _with_stored_rows(transaction, events, all_rows=bool(damage))
         self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
         if damage:
-            self._ledger = self._renewed()
+            self._set_assessor = self._renewed()
 
     def _digest(self, reference: SetReference) -> str | None:
-        found, told = self._archive.digest(reference), self._told.digests.get(reference)
-        if found is not None and told not in (None, found):
+        found, expected = self._archive.digest(reference), self._history.digests.get(reference)
+        if found is not None and expected not in (None, found):
             self._result.damaged.append(f"{reference} is not the file that was stored: its SHA-256 differs")
-        return told or found
+        return expected or found
 
     def _add_environment(self, transaction: Transaction, record: SetRecord) -> None:
         if record.environment and not transaction.environment and purpose_of(record.set_index) == "planned":
@@ -282,22 +283,22 @@ class _Replay:
             # Nothing was told of this set: its alarms are what it says.
             self._catalogue.restore(self._alarms.values())
             transaction.events = list(events)
-            self._ledger.commit(transaction)
-            self._alarms |= {row.id or 0: row for row in self._ledger.alarms.values()}
+            self._set_assessor.commit(transaction)
+            self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
         self._catalogue.commit_set(transaction)
-        self._ledger.confirmations.take_rows(transaction)
+        self._set_assessor.confirmations.take_rows(transaction)
         for event in events:
             self._take_alarm(event)
 
     def _placed(
-        self, computed: Sequence[EventRow], told: Sequence[EventRow], free: Sequence[int]
+        self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
         """Events as they were told; one that is lost gets its own id again where it can be known."""
-        if not told:
+        if not stored:
             return list(computed)
-        known = {_key(event) for event in told}
+        known = {_key(event) for event in stored}
         # A set beside the plan was asked for or not: that is told, never computed.
         lost = [
             event
@@ -306,9 +307,9 @@ class _Replay:
         ]
         if len(lost) == len(free):
             again = [replace(event, id=row_id) for event, row_id in zip(lost, free, strict=True)]
-            return sorted([*told, *again], key=lambda event: event.id or 0)
+            return sorted([*stored, *again], key=lambda event: event.id or 0)
         self._late += lost
-        return list(told)
+        return list(stored)
 
 
 def _runs(events: Mapping[int, EventRow]) -> Iterator[tuple[int | None, list[EventRow]]]:
@@ -328,17 +329,19 @@ def _free_ids(
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
-def _told_with_id(kind: type[R], event: EventRow, name: str) -> R:
+def _row_with_id(kind: type[R], event: EventRow, name: str) -> R:
     """Row that an event tells whole, its id under a name of its own."""
-    told = {column: event.payload[column] for column in kind.__slots__ if column in event.payload}
-    return kind(**{**told, "id": event.payload[name]})
+    columns = {column: event.payload[column] for column in kind.__slots__ if column in event.payload}
+    return kind(**{**columns, "id": event.payload[name]})
 
 
 def _key(event: EventRow) -> tuple[str, str, str | None]:
     return event.topic, event.kind, event.position
 
 
-def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: bool = False) -> Transaction:
+def _with_stored_rows(
+    transaction: Transaction, events: Sequence[EventRow], *, all_rows: bool = False
+) -> Transaction:
     """Put rows that were told in the place of computed ones: those that say how a set ended.
 
     Parameters
@@ -346,7 +349,7 @@ def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: 
     all_rows
         Those that follow from the records, too: the records are not there, or not all.
     """
-    transaction.sets = _over(transaction.sets, _rows(SetRow, events))
+    transaction.sets = _merged(transaction.sets, _rows(SetRow, events))
     transaction.environment = _rows(EnvironmentRow, events) or transaction.environment
     if all_rows or not transaction.shots:
         single = [row for row in transaction.features if row.shot_index is not None]
@@ -361,10 +364,10 @@ def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: 
     return transaction
 
 
-def _over(computed: Sequence[SetRow], told: Sequence[SetRow]) -> list[SetRow]:
+def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
-    rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in told}
+    rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in stored}
     return list(rows.values())
 
 
@@ -372,22 +375,22 @@ def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
     return [
         kind(**{name: event.payload[name] for name in kind.__slots__ if name in event.payload})
         for event in events
-        if _TOLD_ROWS.get(event.kind) is kind
+        if _STORED_ROWS.get(event.kind) is kind
     ]
 
 
-def _differences(computed: Sequence[EventRow], told: Sequence[EventRow]) -> list[str]:
+def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
     found = {_key(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_index}, {event.position}: {event.kind}"
-        for event in told
-        if _key(event) in found and _as_told_by(event, found[_key(event)]) != _json(event.payload)
+        for event in stored
+        if _key(event) in found and _stored_columns(event, found[_key(event)]) != _json(event.payload)
     ]
 
 
-def _as_told_by(told: EventRow, computed: EventRow) -> bytes:
+def _stored_columns(stored: EventRow, computed: EventRow) -> bytes:
     """Payload with the columns that were told: an earlier version had fewer."""
-    return _json({name: value for name, value in computed.payload.items() if name in told.payload})
+    return _json({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 
 def _json(payload: Mapping[str, Any]) -> bytes:

@@ -42,9 +42,9 @@ def time_before(
         This boot, and what has elapsed of it.
     """
     line = time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns)
-    told = catalogue.last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
-    if line is not None and told is not None and told.payload["boot"] == boot:
-        line = replace(line, ahead_ns=round(told.payload["ahead_s"] * NS_PER_S))
+    last_event = catalogue.last_service_event(CLOCK_STEP, CLOCK_BELIEVED)
+    if line is not None and last_event is not None and last_event.payload["boot"] == boot:
+        line = replace(line, ahead_ns=round(last_event.payload["ahead_s"] * NS_PER_S))
     newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
     return Before(
         last_utc_ns=max(

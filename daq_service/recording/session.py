@@ -42,7 +42,7 @@ from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
 from daq_service.recording.persistence import Helpers
 from daq_service.recording.rebuild import rebuild
-from daq_service.recording.recorder import Recorder, Teller
+from daq_service.recording.recorder import Recorder, Reporter
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
@@ -63,10 +63,10 @@ def record(
     open_rig: RigOpener,
     *,
     stop: threading.Event,
-    tell: Teller,
+    report: Reporter,
     restart_reason: str = "",
     linger: bool = False,
-    left_alone: threading.Event | None = None,
+    unsupervised: threading.Event | None = None,
     acknowledged: Callable[[int], None] = lambda shot_id: None,
     compaction_worker: Callable[[], Executor] = one_worker,
     listen_every_s: float = LISTEN_EVERY_S,
@@ -79,13 +79,13 @@ def record(
 
     Parameters
     ----------
-    tell
+    report
         Called with the name of an event and its values: ``beat``, ``begun`` (the first set is waited for or
         taken), ``progress``, ``alarm``, ``gap``, ``finished``,
         ``waits`` (for the rig, whose alarm stands).
     linger
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
-    left_alone
+    unsupervised
         Set where ``stop`` is, because the supervisor is gone.
     acknowledged
         Called with the id of each shot (``shots.sequence``) once it is durable.
@@ -114,25 +114,25 @@ def record(
     """
     began_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
     deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
-    made_again = _made_again(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=tell))
+    rebuilt = _rebuilt_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=report))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         cause = _why_not_running(catalogue, last_beat, restart_reason)
         epoch_ns = _experiment_epoch(catalogue, settings)
         keep_experiment(folder, catalogue.experiment_row())
-        if made_again:
+        if rebuilt:
             newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
             now_ns = newest[0].utc_ns if newest else epoch_ns
-            catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
+            catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=rebuilt)
         history = HistoryFollower(folder, catalogue)
         history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder)))
 
-        def filed(set_index: int, file: str, sha256: str) -> None:
+        def note_file(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)
             history.filed(file, sha256)
 
-        _note_digests(catalogue, archive, filed)
+        _note_digests(catalogue, archive, note_file)
         clock: Clock
         if settings.clock.kind == "wall":
             clock = wall_clock(
@@ -149,7 +149,7 @@ def record(
             start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
             clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
-        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
+        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=report, time_line=line)
 
         def moment() -> Moment:
             now_ns = clock.utc_ns()
@@ -163,10 +163,10 @@ def record(
             heartbeat=heartbeat,
             stop=stop,
             waits_s=waits_for_rig_s,
-            alarm=OpeningAlarm(catalogue, history, moment, tell),
+            alarm=OpeningAlarm(catalogue, history, moment, report),
         )
         if rig is None:
-            _take_leave(catalogue, history, heartbeat, moment(), left_alone)
+            _store_stop(catalogue, history, heartbeat, moment(), unsupervised)
             return False
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
         stack.callback(disk.give_back)
@@ -178,31 +178,31 @@ def record(
         def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
             return partial(tile_record, folder, experiment, anchors_of(results)) if has_room() else None
 
-        compaction = SetFinalizer(
+        finalizer = SetFinalizer(
             folder,
             archive,
             start=compaction_worker,
             results=partial(results_in, catalogue),
-            filed=filed,
+            filed=note_file,
             also=tiles,
         )
         # One that has no rows yet gets them first: its file holds what they say.
         for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
-            compaction.put(set_index)
-        stack.callback(compaction.close)
-        idle_check = IdleVerification(
-            folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of, filed
+            finalizer.put(set_index)
+        stack.callback(finalizer.close)
+        checker = IdleVerification(
+            folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
         )
         live = LiveFigure(folder, rig.kind)
-        tiling = TileMaker(
+        tile_maker = TileMaker(
             folder,
             experiment,
-            compaction,
+            finalizer,
             partial(catalogue.files_but_of, ()),
             partial(results_in, catalogue),
             has_room=has_room,
         )
-        machine = ComputerLoadWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
+        machine = ComputerLoadWatch(clock, space=lambda: disk.space, files_read=lambda: checker.files_read)
         recorder = Recorder(
             settings,
             archive,
@@ -212,12 +212,12 @@ def record(
             live=live,
             heartbeat=heartbeat,
             stop=stop,
-            tell=tell,
-            left_alone=left_alone,
+            report=report,
+            unsupervised=unsupervised,
             helpers=Helpers(
-                compaction=compaction,
-                idle_check=idle_check,
-                tiling=tiling,
+                compaction=finalizer,
+                idle_check=checker,
+                tiling=tile_maker,
                 history=history,
                 disk=disk,
                 machine=machine,
@@ -229,16 +229,16 @@ def record(
         )
         stack.callback(recorder.leave)
         finished = recorder.run(
-            not_running_reason=cause, opening=Opening(since_mono_ns=since_mono_ns, told=did)
+            not_running_reason=cause, opening=Opening(since_mono_ns=since_mono_ns, text=did)
         )
         if finished:
-            tell("finished")
+            report("finished")
             if linger:
                 recorder.linger()
         return finished
 
 
-def _made_again(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
+def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
     """Make a lost catalogue again before anything is recorded; what is told of it, empty: none was lost."""
     if not lost_catalogue(folder):
         return {}
@@ -254,13 +254,13 @@ def _made_again(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[
 
 
 def _note_digests(
-    catalogue: RecorderCatalogue, archive: Archive, filed: Callable[[int, str, str], None]
+    catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[int, str, str], None]
 ) -> None:
     """Note the SHA-256 of files that a crash kept from being noted; a whole older folder's come when idle."""
     for set_index, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
-            filed(set_index, file, sha256)
+            note_file(set_index, file, sha256)
 
 
 def longest_call_s(settings: Settings) -> float:
@@ -298,17 +298,17 @@ def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
 
 
-def _take_leave(
+def _store_stop(
     catalogue: RecorderCatalogue,
     history: HistoryFollower,
     heartbeat: Heartbeat,
     moment: Moment,
-    left_alone: threading.Event | None,
+    unsupervised: threading.Event | None,
 ) -> None:
     """Say that a recorder was stopped before its rig could be opened."""
     heartbeat.stage = "ended"
     heartbeat.beat("leaving", at_once=True)
-    alone = left_alone is not None and left_alone.is_set()
+    alone = unsupervised is not None and unsupervised.is_set()
     kind = "recorder_left_alone" if alone else "recorder_stopped"
     try:
         catalogue.add_event(utc_ns=moment.utc_ns, topic="service", kind=kind, payload={})

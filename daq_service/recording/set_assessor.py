@@ -77,7 +77,7 @@ class SetAssessor:
         self._settings = settings
         self._catalogue = catalogue
         self._cost = cost
-        self._tried: Transaction | None = None
+        self._uncommitted: Transaction | None = None
         self._news = news
         rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
@@ -134,7 +134,7 @@ class SetAssessor:
         method = METHODS[self._settings.positions[position].method]
         return method.records_planned(self._settings.schedule)
 
-    def judged(
+    def assessed(
         self,
         due: DueSet,
         record: SetRecord,
@@ -158,7 +158,7 @@ class SetAssessor:
         retired = self.retired()
         transaction = Transaction()
         suspicions: dict[str, str] = {}
-        for position in self._places(due):
+        for position in self._positions_of(due):
             if position not in causes:
                 cause = retired.get(position, "retired")
                 transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
@@ -189,7 +189,7 @@ class SetAssessor:
                 )
         rig_now = self._rig_condition(due, record)
         if due.position is not None:
-            self._prove(due.position, transaction, moment)
+            self._add_confirmation(due.position, transaction, moment)
             if rig_now.present:  # that one position is well again says nothing of the other instruments
                 self._carry_alarm(rig_now, moment, transaction)
             return transaction
@@ -199,14 +199,14 @@ class SetAssessor:
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, because in suspicions.items():
             if because:
-                self.confirmations.ask(because, due, position, standing, moment, transaction)
+                self.confirmations.request(because, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
 
-    def _places(self, due: DueSet) -> list[str]:
+    def _positions_of(self, due: DueSet) -> list[str]:
         """Positions that a set is of."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
-    def _prove(self, position: str, transaction: Transaction, moment: Moment) -> None:
+    def _add_confirmation(self, position: str, transaction: Transaction, moment: Moment) -> None:
         """Let the alarm of a change that stands at a position say what its confirmation set says."""
         assessment = transaction.assessments[0] if transaction.assessments else None
         told = asdict(confirmed(transaction.sets[0], assessment))
@@ -248,7 +248,7 @@ class SetAssessor:
                 )
         return rig_condition(due, record.trouble, unanswered, proven=self.proven)
 
-    def tell(self, condition: Condition, moment: Moment) -> None:
+    def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
         transaction = Transaction()
         self._carry_alarm(condition, moment, transaction)
@@ -299,11 +299,11 @@ class SetAssessor:
         Called again after an error, it first looks whether the commit took place all the same.
         """
         indices = {row.set_index for row in transaction.sets}
-        if transaction is self._tried and indices <= self._catalogue.committed_sets(indices):
+        if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             self._report_changes(transaction)
             return
-        self._tried = transaction if indices else self._tried
+        self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
@@ -347,7 +347,7 @@ class SetAssessor:
         moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
         retired = self.retired() if tried is None else tried.retired
-        for position in self._places(due):
+        for position in self._positions_of(due):
             gone = position in retired
             missed = (
                 []
@@ -374,7 +374,7 @@ class SetAssessor:
             self._carry_alarm(told, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
         if due.position is not None:
-            self._prove(due.position, transaction, moment)
+            self._add_confirmation(due.position, transaction, moment)
             return transaction
         return self._with_environment(due, moment, transaction)
 

@@ -150,7 +150,7 @@ def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Scri
             folder,
             open_rig,
             stop=threading.Event(),
-            tell=lambda event, **values: heard.append((event, values)),
+            report=lambda event, **values: heard.append((event, values)),
         )
     asked = told(folder, "asked", "asked_over")
     assert [row.kind for row in asked] == ["asked", "asked_over"] * SHOTS

@@ -130,7 +130,7 @@ def record(
                 folder,
                 opener,
                 stop=threading.Event(),
-                tell=lambda event, **values: None,
+                report=lambda event, **values: None,
                 acknowledged=acknowledged,
                 compaction_worker=worker,
                 wall_clock=_clock_after,

@@ -246,8 +246,8 @@ class Line:
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
-                tell=tell,
-                left_alone=left_alone,
+                report=tell,
+                unsupervised=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(
                     compaction=compaction,

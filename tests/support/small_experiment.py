@@ -85,7 +85,7 @@ def run(
             rig,
             stop=stop or threading.Event(),
             restart_reason=restart_reason,
-            tell=lambda event, **values: None,
+            report=lambda event, **values: None,
             **{"compaction_worker": AtOnce, **options},
         )
 

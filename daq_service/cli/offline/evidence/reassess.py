@@ -146,7 +146,9 @@ class _Again:
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
-        self._ledger = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
+        self._set_assessor = SetAssessor(
+            settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run
+        )
         # Alarms of this judgement are no news of a test.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 
@@ -186,17 +188,17 @@ class _Again:
         record = self._read_set(SetReference(file))
         due = due_of(record)
         if due.position in (None, *self._settings.positions):
-            self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
+            self._set_assessor.commit(self._set_assessor.assessed(due, record, file, self._features(record)))
 
     def _take_empty(self, rows: list[SetRow]) -> None:
         """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
-        self._ledger.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
+        self._set_assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "retired" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
-                for condition in self._ledger.passed(row):
-                    self._ledger.tell(condition, moment)
+                for condition in self._set_assessor.passed(row):
+                    self._set_assessor.update_alarm(condition, moment)
 
     def _take_step(self, event: EventRow) -> None:
         """Do again what a person did to a baseline; its numbers are those of this judgement."""
@@ -211,14 +213,14 @@ class _Again:
             its = planned(told.position, self._settings, self._again.baseline(told.position))
             last_set = told.first_set_index + its.last_set - its.first_set
             self._again.restore([replace(told, last_set_index=last_set)])
-        self._ledger.renewed(told.position)
+        self._set_assessor.renewed(told.position)
 
     def _take_deed(self, event: EventRow) -> None:
         """Do again what a person did to an alarm, where it stands in this judgement, too."""
         if event.topic != "alarms" or "kind" not in event.payload:
             return
         kind = event.payload["kind"]
-        row = self._ledger.alarms.get((event.position, kind))
+        row = self._set_assessor.alarms.get((event.position, kind))
         due_h = (event.utc_ns - self._epoch_utc_ns) / NS_PER_H
         moment = Moment(utc_ns=event.utc_ns, due_h=due_h, set_index=None)
         author = event.payload.get("author") or event.payload.get("acknowledged_by") or ""
@@ -234,9 +236,9 @@ class _Again:
         if change is not None:
             transaction = Transaction()
             transaction.add_alarm(change, moment)
-            self._ledger.commit(transaction)
+            self._set_assessor.commit(transaction)
         if event.kind == "alarm_reset" and kind in RETIRING and event.position in self._settings.positions:
-            self._ledger.reinstated(event.position)
+            self._set_assessor.reinstated(event.position)
 
 
 def printed_progress(done: int, total: int) -> None:

@@ -17,7 +17,7 @@ from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Beat, Heartbeat
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.recording.opening import OpeningAlarm, open_patiently
-from daq_service.recording.session import _take_leave, _why_not_running
+from daq_service.recording.session import _store_stop, _why_not_running
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -137,7 +137,7 @@ def test_the_cause_of_missed_sets_is_what_is_known(
 
 def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
     tell(opener.catalogue, "recorder_started")
-    _take_leave(
+    _store_stop(
         opener.catalogue,
         HistoryFollower(opener.folder, opener.catalogue),
         opener.heartbeat,

@@ -83,7 +83,7 @@ def due_of(line, index):
 def assess_set(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
     due = due_of_record(record) if record.set_index >= PLANNED_SETS else due_of(line, record.set_index)
-    ledger.commit(ledger.judged(due, record, file, features))
+    ledger.commit(ledger.assessed(due, record, file, features))
 
 
 def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
