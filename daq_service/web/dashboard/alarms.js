@@ -3,13 +3,13 @@
 import { AlarmFilter } from "./alarm-filter.js";
 import { get, post } from "./api.js";
 import { confirmed } from "./control/confirm.js";
-import { author, may } from "./control/who.js";
+import { author, may } from "./control/session.js";
 import { button, el, setText } from "./dom.js";
 import { hour, setName, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
-import { follow, giveBy, order } from "./orders.js";
-import { Proof, setLink } from "./proof.js";
-import { ShelfDialog, suppressedText, tellAgain } from "./shelf.js";
+import { follow, giveBy, order } from "./commands.js";
+import { Proof, setLink } from "./alarm-evidence.js";
+import { ShelfDialog, suppressedText, tellAgain } from "./shelve.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
 /** Kinds that a confirmation set may tell more of. */
@@ -37,7 +37,7 @@ export class SolimonAlarms extends HTMLElement {
     this.orders = new Map();
     /** @type {Map<number, Proof>} by alarm; each keeps what is open of it */
     this.proofs = new Map();
-    /** @type {import("./proof.js").Host} */
+    /** @type {import("./alarm-evidence.js").Host} */
     this.host = /** @type {any} */ (null);
     /** @type {Map<number, HTMLElement>} histories that are open, by alarm */
     this.histories = new Map();

@@ -3,7 +3,7 @@
 import { get, post, remove } from "./api.js";
 import { byId, el, setText } from "./dom.js";
 
-/** @typedef {import("./control/who.js").Session} Session */
+/** @typedef {import("./control/session.js").Session} Session */
 
 /** Ends once this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
 export async function admitted() {

@@ -2,36 +2,36 @@
 
 import { SolimonAlarms } from "./alarms.js";
 import { BASE, trend } from "./api.js";
-import { Asked } from "./asked.js";
-import { BaselineCard } from "./baseline.js";
+import { Asked } from "./prompt.js";
+import { BaselineCard } from "./baseline-card.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
-import { Compared } from "./charts/compared.js";
-import { Others, isOther, whereOf } from "./charts/others.js";
+import { Compared } from "./charts/comparison.js";
+import { Others, isOther, whereOf } from "./charts/other-tests.js";
 import { wholeOf } from "./charts/plot.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { Audit } from "./control/audit.js";
 import { confirmed } from "./control/confirm.js";
 import { Control } from "./control/panel.js";
-import { enter, may } from "./control/who.js";
+import { enter, may } from "./control/session.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
-import { Failing } from "./failing.js";
-import { tiles } from "./first.js";
+import { Failing } from "./update-failure.js";
+import { tiles } from "./startup.js";
 import { hour, significant, utc } from "./format.js";
-import { Hold } from "./hold.js";
+import { Hold } from "./pause.js";
 import { RECORDER, chip } from "./icons.js";
 import { admitted } from "./login.js";
 import { SolimonNotes } from "./notes.js";
 import { Notifications } from "./notifications.js";
-import { giveBy } from "./orders.js";
-import { Reading } from "./reading.js";
-import { Retired } from "./retired.js";
+import { giveBy } from "./commands.js";
+import { Reading } from "./data-loader.js";
+import { Retired } from "./disabled.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
 import { Theme } from "./theme.js";
-import { Timeline } from "./time.js";
+import { Timeline } from "./timeline.js";
 import { Address } from "./view.js";
 import { SolimonWaterfall } from "./waterfall/panel.js";
 import { SolimonWaveform } from "./waveform.js";
@@ -114,7 +114,7 @@ const waterfallHost = {
   hasBaseline: () => reading.hasBaseline(address.view.position),
 };
 waterfall.host = waterfallHost;
-/** @type {import("./proof.js").Host} */
+/** @type {import("./alarm-evidence.js").Host} */
 const proofHost = {
   trend: (position) => reading.trends.get(position),
   timeline,

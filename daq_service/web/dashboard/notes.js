@@ -1,9 +1,9 @@
 // What people noted of hours of the test: the list, and the dialog that adds to it.
 
-import { may } from "./control/who.js";
+import { may } from "./control/session.js";
 import { button, el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
-import { order } from "./orders.js";
+import { order } from "./commands.js";
 
 /** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void, now: () => number}} Host */
 

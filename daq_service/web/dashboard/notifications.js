@@ -1,7 +1,7 @@
 // Who is told of alarms elsewhere: how each receiver stands, a trial, what was sent. Hidden where there is none.
 
 import { get, post } from "./api.js";
-import { may } from "./control/who.js";
+import { may } from "./control/session.js";
 import { el, setText } from "./dom.js";
 import { duration, utc } from "./format.js";
 import { chip } from "./icons.js";

@@ -2,7 +2,7 @@
 
 import { BASE } from "./api.js";
 import { HEARTBEAT_S } from "./events/source.js";
-import { Watch } from "./events/watch.js";
+import { Watch } from "./events/heartbeat.js";
 
 /**
  * @typedef {object} Record_

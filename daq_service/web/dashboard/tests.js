@@ -2,7 +2,7 @@
 
 import { get } from "./api.js";
 import { byId, el, setText } from "./dom.js";
-import { Failing } from "./failing.js";
+import { Failing } from "./update-failure.js";
 import { ageText, hour } from "./format.js";
 import { RECORDER, SEVERITIES, STATES, chip } from "./icons.js";
 import { admitted } from "./login.js";

@@ -3,7 +3,7 @@
 import { el, setText } from "./dom.js";
 import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
 import { STATES, chip } from "./icons.js";
-import { causeOf, limitOf } from "./limit.js";
+import { causeOf, limitOf } from "./assessment.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 

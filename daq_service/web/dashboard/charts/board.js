@@ -4,8 +4,8 @@ import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
 import { notesOn } from "../notes.js";
 import { isFeature, wordOf } from "./features.js";
-import { bandsOf, inForce } from "./lives.js";
-import { isOther, nameOf } from "./others.js";
+import { bandsOf, inForce } from "./baselines.js";
+import { isOther, nameOf } from "./other-tests.js";
 import { colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
 
 /** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
@@ -38,7 +38,7 @@ export function besideOf(beside) {
 
 export class Board {
   /**
-   * @param {import("../reading.js").Reading} reading @param {import("./others.js").Others} others of other tests
+   * @param {import("../data-loader.js").Reading} reading @param {import("./other-tests.js").Others} others of other tests
    * @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature
    */
   constructor(reading, others, host, onFeature) {
@@ -67,7 +67,7 @@ export class Board {
     return isOther(position) ? this.others.trends.get(position) : this.reading.trend(position);
   }
 
-  /** Baselines of a position. @param {string} position as of `trend` @returns {import("./lives.js").Life[]} */
+  /** Baselines of a position. @param {string} position as of `trend` @returns {import("./baselines.js").Life[]} */
   lives(position) {
     return (isOther(position) ? this.others.lives.get(position) : this.reading.lives.get(position)) ?? [];
   }

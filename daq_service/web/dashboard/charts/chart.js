@@ -30,7 +30,7 @@ import { dataOf, makePlot, wholeOf } from "./plot.js";
  * @typedef {object} Host what all charts of the page share
  * @property {() => import("./gestures.js").Span | null} span null: the whole test
  * @property {(span: import("./gestures.js").Span | null, gesture?: boolean) => void} show
- * @property {() => import("../time.js").Timeline} timeline
+ * @property {() => import("../timeline.js").Timeline} timeline
  * @property {(position: string, setIndex: number) => void} open
  * @property {(id: string, shown: boolean) => void} table
  * @property {(hour: number, ask: boolean) => void} note somebody points at an hour, or wants to note something of it

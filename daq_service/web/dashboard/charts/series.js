@@ -1,6 +1,6 @@
 // From the columns of the API to what a chart draws: scaled, relative to the baseline, one position over another.
 
-import { inForce } from "./lives.js";
+import { inForce } from "./baselines.js";
 
 /**
  * @typedef {object} Line
@@ -59,7 +59,7 @@ export function baselineMean(trend, field) {
   return values.length ? values.reduce((/** @type {number} */ sum, /** @type {number} */ value) => sum + value, 0) / values.length : null;
 }
 
-/** Percent above or below the baseline in force; without one nothing is relative to it. @param {import("./lives.js").Life[]} lives @param {string} field @returns {Scale} */
+/** Percent above or below the baseline in force; without one nothing is relative to it. @param {import("./baselines.js").Life[]} lives @param {string} field @returns {Scale} */
 export function relativeTo(lives, field) {
   const means = lives.map((life) => ({ from_h: life.from_h, mean: baselineMean(life.trend, field) }));
   return (value, hour) => {

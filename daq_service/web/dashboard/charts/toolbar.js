@@ -34,7 +34,7 @@ export class Toolbar {
     this.linked = "";
   }
 
-  /** @param {View} view @param {string} charted @param {any} info @param {import("../time.js").Timeline} timeline */
+  /** @param {View} view @param {string} charted @param {any} info @param {import("../timeline.js").Timeline} timeline */
   update(view, charted, info, timeline) {
     const places = info.positions.filter((/** @type {any} */ place) => place.method === "solitary_wave").map((/** @type {any} */ place) => place.position);
     const made = JSON.stringify([places, charted, view.compare]);

@@ -2,7 +2,7 @@
 
 import { get } from "../api.js";
 import { byId, el, setText } from "../dom.js";
-import { may } from "./who.js";
+import { may } from "./session.js";
 
 const PAGE = 50;
 const HOLDS = ["hold", "release"];

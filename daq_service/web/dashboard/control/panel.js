@@ -2,9 +2,9 @@
 
 import { byId, el, setText } from "../dom.js";
 import { duration, significant } from "../format.js";
-import { giveBy } from "../orders.js";
+import { giveBy } from "../commands.js";
 import { confirmed } from "./confirm.js";
-import { may, whyNot } from "./who.js";
+import { may, whyNot } from "./session.js";
 
 /** @typedef {import("./confirm.js").Question} Question */
 

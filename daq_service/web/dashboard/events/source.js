@@ -1,6 +1,6 @@
 // One connection to the service's events (SSE): resumes by itself, also after it was refused or is frozen.
 
-import { Watch } from "./watch.js";
+import { Watch } from "./heartbeat.js";
 
 const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "annotations", "environment", "service"];
 const RETRY_MS = 1000;

@@ -2,7 +2,7 @@
 
 import { BASE } from "../api.js";
 import { HEARTBEAT_S, Source } from "./source.js";
-import { Watch } from "./watch.js";
+import { Watch } from "./heartbeat.js";
 
 /** Changes when what is said between page and worker does: a tab of an older version keeps its own. */
 const NAME = "solimon-events-3";

@@ -3,10 +3,10 @@
 import { el } from "../dom.js";
 import { isFeature, wordOf } from "../charts/features.js";
 import { shownUnit } from "../charts/series.js";
-import { causeOf, limitOf } from "../limit.js";
+import { causeOf, limitOf } from "../assessment.js";
 import { NONE, fixed, hour, quantity, significant, utc } from "../format.js";
 
-/** @typedef {import("./evidence.js").Evidence} Evidence */
+/** @typedef {import("./data.js").Evidence} Evidence */
 
 /** @param {string} name @param {number | null | undefined} value @param {Record<string, string>} units of /trends */
 function shown(name, value, units) {

@@ -7,12 +7,12 @@ import { exportMenu, setOffer } from "../export.js";
 import { PLANNED_SETS, duration, fixed, hour, setName, utc } from "../format.js";
 import { SEVERITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
-import { readEvidence } from "./evidence.js";
+import { readEvidence } from "./data.js";
 import { climate, distance, features, provenance, shots } from "./facts.js";
 import { plotRecords } from "./plot.js";
-import { mean, readRecords } from "./records.js";
+import { mean, readRecords } from "./waveforms.js";
 
-/** @typedef {import("./evidence.js").Evidence} Evidence @typedef {import("./records.js").Record_} Record_ */
+/** @typedef {import("./data.js").Evidence} Evidence @typedef {import("./waveforms.js").Record_} Record_ */
 
 const TABLE_ROWS = 400;
 const QUALITY = /** @type {Record<string, import("../icons.js").Look>} */ ({

@@ -23,7 +23,7 @@ export function ticks([from, to], most) {
  * @param {Span} hours
  * @param {{span: Span, label: string}} down
  * @param {{span: Span, label: string} | null} right
- * @param {import("../time.js").Timeline} timeline
+ * @param {import("../timeline.js").Timeline} timeline
  */
 export function drawAxes(context, box, hours, down, right, timeline) {
   const { left, top, width, height } = box;

@@ -2,9 +2,9 @@
 
 import { color } from "../dom.js";
 import { palette, step, themeNow } from "./colours.js";
-import { extreme } from "./picture.js";
+import { extreme } from "./image.js";
 
-/** @typedef {import("./picture.js").Picture} Picture @typedef {[number, number]} Span */
+/** @typedef {import("./image.js").Picture} Picture @typedef {[number, number]} Span */
 /**
  * @typedef {object} Over what is drawn over the picture
  * @property {{color: string, label: string, dash: number[], hours: number[], seconds: (number | null)[]}[]} tracks

@@ -9,19 +9,19 @@ import { palette, themeNow } from "./colours.js";
 import { attach } from "./gestures.js";
 import { badHoursOf, tracksOf } from "./marks.js";
 import { paint, paintOver } from "./paint.js";
-import { setAt } from "./picture.js";
-import { PictureReading } from "./reading.js";
+import { setAt } from "./image.js";
+import { PictureReading } from "./image-loader.js";
 import { tableOf } from "./table.js";
-import { anchorOf, labelOf, readoutOf, subtitleOf, thicknessOf } from "./words.js";
+import { anchorOf, labelOf, readoutOf, subtitleOf, thicknessOf } from "./labels.js";
 
-/** @typedef {import("./picture.js").Picture} Picture @typedef {import("./words.js").Span} Span @typedef {import("./words.js").Cursor} Cursor */
+/** @typedef {import("./image.js").Picture} Picture @typedef {import("./labels.js").Span} Span @typedef {import("./labels.js").Cursor} Cursor */
 /**
  * @typedef {object} Host
  * @property {() => any} info null: the chosen position is not known yet
  * @property {() => import("../view.js").View} view
  * @property {(part: Partial<import("../view.js").View>, how?: {gesture?: boolean}) => void} go
  * @property {() => Span} whole hours of the test
- * @property {() => import("../time.js").Timeline} timeline
+ * @property {() => import("../timeline.js").Timeline} timeline
  * @property {(position: string, set: number) => void} open
  * @property {(position: string) => Omit<import("./paint.js").Over, "tracks" | "bad">} over
  * @property {(position: string, fields: string[], range: Record<string, number>) => Promise<any>} trend
@@ -162,7 +162,7 @@ export class SolimonWaterfall extends HTMLElement {
     this.update();
   }
 
-  /** @returns {import("./reading.js").Question | null} */
+  /** @returns {import("./image-loader.js").Question | null} */
   wanted() {
     const { method } = this;
     if (!method) return null;

@@ -2,11 +2,11 @@
 
 import { el } from "../dom.js";
 import { fixed } from "../format.js";
-import { setsOf } from "./words.js";
+import { setsOf } from "./labels.js";
 
 const LONGEST = 200;
 
-/** @param {import("./picture.js").Picture} picture @param {(set: number) => void} open @returns {HTMLElement} */
+/** @param {import("./image.js").Picture} picture @param {(set: number) => void} open @returns {HTMLElement} */
 export function tableOf({ header, least: lows, greatest: highs }, open) {
   const unit = header.unit === "V" ? " (V)" : "";
   const head = el("tr", {}, ...["Hour", "Sets", `Least${unit}`, `Greatest${unit}`, "Greatest at (µs)"].map((text) => el("th", { scope: "col", text })));

@@ -2,9 +2,9 @@
 // reads sets or new ones have come.
 
 import { fieldsOf } from "./marks.js";
-import { greatestOf, readPicture } from "./picture.js";
+import { greatestOf, readPicture } from "./image.js";
 
-/** @typedef {import("./picture.js").Picture} Picture */
+/** @typedef {import("./image.js").Picture} Picture */
 /**
  * @typedef {object} Question
  * @property {string} position

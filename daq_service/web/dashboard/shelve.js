@@ -2,7 +2,7 @@
 
 import { el, setText } from "./dom.js";
 import { utc } from "./format.js";
-import { order } from "./orders.js";
+import { order } from "./commands.js";
 
 const LENGTHS = [
   ["1", "1 hour"],

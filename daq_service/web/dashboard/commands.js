@@ -1,7 +1,7 @@
 // Orders to the recorder: written over REST, then followed until they are answered or have expired.
 
 import { get, post } from "./api.js";
-import { author } from "./control/who.js";
+import { author } from "./control/session.js";
 import { setText } from "./dom.js";
 
 const LOOK_MS = 300;

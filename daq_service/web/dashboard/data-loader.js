@@ -2,7 +2,7 @@
 // what is drawn; an event only says what to read again.
 
 import { all, get, hasData, trend } from "./api.js";
-import { livesOf } from "./charts/lives.js";
+import { livesOf } from "./charts/baselines.js";
 import { PLANNED_SETS } from "./format.js";
 
 const REFRESH_MS = 200;
@@ -38,7 +38,7 @@ export class Reading {
     this.info = null;
     /** @type {Map<string, any>} columns by position */
     this.trends = new Map();
-    /** Baselines by position, the present one last. @type {Map<string, import("./charts/lives.js").Life[]>} */
+    /** Baselines by position, the present one last. @type {Map<string, import("./charts/baselines.js").Life[]>} */
     this.lives = new Map();
     /** @type {Map<string, any>} fits by position and field */
     this.fits = new Map();

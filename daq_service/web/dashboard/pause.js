@@ -1,10 +1,10 @@
 // Hold and release: a button that asks why, and a banner for as long as nothing strikes.
 
 import { confirmed } from "./control/confirm.js";
-import { may } from "./control/who.js";
+import { may } from "./control/session.js";
 import { byId, setText } from "./dom.js";
 import { icon } from "./icons.js";
-import { giveBy } from "./orders.js";
+import { giveBy } from "./commands.js";
 
 export class Hold {
   /** @param {(text: string) => void} onTrouble */

@@ -2,7 +2,7 @@
 
 import { get } from "../api.js";
 import { setName } from "../format.js";
-import { readRecords } from "./records.js";
+import { readRecords } from "./waveforms.js";
 
 /**
  * @typedef {object} Evidence
@@ -13,7 +13,7 @@ import { readRecords } from "./records.js";
  * @property {any} verdict
  * @property {any} baseline that the verdict refers to
  * @property {any} environment
- * @property {{header: any, records: import("./records.js").Record_[]} | null} stored
+ * @property {{header: any, records: import("./waveforms.js").Record_[]} | null} stored
  * @property {string} missing why records are not shown; empty: they are
  */
 

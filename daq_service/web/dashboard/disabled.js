@@ -1,10 +1,10 @@
 // Transducers that strike no more: why, and a button for when that is put right.
 
 import { confirmed } from "./control/confirm.js";
-import { may } from "./control/who.js";
+import { may } from "./control/session.js";
 import { el } from "./dom.js";
 import { STATES, chip } from "./icons.js";
-import { order } from "./orders.js";
+import { order } from "./commands.js";
 
 export class Retired {
   /** @param {HTMLElement} root @param {(text: string) => void} onTrouble */

@@ -1,11 +1,11 @@
 // The baseline of the charted position: its life, how far it can be trusted, and a person's orders about it.
 
 import { confirmed } from "./control/confirm.js";
-import { may } from "./control/who.js";
+import { may } from "./control/session.js";
 import { el } from "./dom.js";
 import { NONE, fixed, significant, utc } from "./format.js";
 import { chip } from "./icons.js";
-import { giveBy } from "./orders.js";
+import { giveBy } from "./commands.js";
 
 /** @type {Record<string, import("./icons.js").Look>} */
 const LOOKS = {

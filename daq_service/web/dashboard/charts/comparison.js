@@ -3,13 +3,13 @@
 import { byId, el, setText } from "../dom.js";
 import { ageText } from "../format.js";
 import { RECORDER, STATES, chip } from "../icons.js";
-import { isOther, nameOf } from "./others.js";
+import { isOther, nameOf } from "./other-tests.js";
 import { swatch } from "./legend.js";
 
 const TICK_MS = 1000;
 
 export class Compared {
-  /** @param {import("./others.js").Others} others @param {(part: Partial<import("../view.js").View>) => void} go */
+  /** @param {import("./other-tests.js").Others} others @param {(part: Partial<import("../view.js").View>) => void} go */
   constructor(others, go) {
     this.others = others;
     this.go = go;

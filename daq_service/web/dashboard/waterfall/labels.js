@@ -1,7 +1,7 @@
 // A picture in words: what it shows, what its axes are, what lies under the cursor.
 
 import { fixed, significant } from "../format.js";
-import { columnAt, rowAt } from "./picture.js";
+import { columnAt, rowAt } from "./image.js";
 
 /** @typedef {[number, number]} Span @typedef {{hour: number, seconds: number}} Cursor */
 
@@ -41,7 +41,7 @@ export function labelOf(header) {
   return `Waterfall of position ${header.position}: ${values(header)}, ${header.rows} rows from hour ${fixed(header.first_h[0], 1)} to ${fixed(header.last_h.at(-1), 1)}, time from the ${anchorOf(header)}. Arrow keys move a cursor that reads values, Page Up and Page Down zoom in time, Enter opens the set.`;
 }
 
-/** What lies under the cursor. @param {import("./picture.js").Picture} picture @param {Cursor} cursor @param {import("../time.js").Timeline} timeline */
+/** What lies under the cursor. @param {import("./image.js").Picture} picture @param {Cursor} cursor @param {import("../timeline.js").Timeline} timeline */
 export function readoutOf({ header, least, greatest }, { hour, seconds }, timeline) {
   const row = rowAt(header, hour);
   const column = columnAt(header, seconds);

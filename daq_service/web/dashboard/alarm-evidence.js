@@ -16,7 +16,7 @@ const BEHIND = 8;
  *
  * @typedef {object} Host
  * @property {(position: string) => any} trend of the whole test
- * @property {() => import("./time.js").Timeline} timeline
+ * @property {() => import("./timeline.js").Timeline} timeline
  * @property {(position: string, set: number) => void} open
  * @property {(hour: number, ask: boolean) => void} note
  */

@@ -1,8 +1,8 @@
 // Series of other tests of this service, by hours since each one's hour 0; which ones, the address says.
 
 import { BASE, get, trend } from "../api.js";
-import { FIELDS } from "../reading.js";
-import { livesOf } from "./lives.js";
+import { FIELDS } from "../data-loader.js";
+import { livesOf } from "./baselines.js";
 
 const REFRESH_MS = 5000;
 
@@ -33,7 +33,7 @@ export class Others {
     this.readAt = 0;
     /** @type {Map<string, any>} columns by entry */
     this.trends = new Map();
-    /** Baselines by entry, the present one last. @type {Map<string, import("./lives.js").Life[]>} */
+    /** Baselines by entry, the present one last. @type {Map<string, import("./baselines.js").Life[]>} */
     this.lives = new Map();
     /** @type {Map<string, string>} why an entry is not drawn */
     this.troubles = new Map();
