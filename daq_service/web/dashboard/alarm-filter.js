@@ -1,14 +1,14 @@
-// Which alarms the list shows: by state, severity, position and kind.
+// Filter the alarm list by state, severity, position and kind.
 
 import { el } from "./dom.js";
 
 /** @type {Record<string, [string, (alarm: any) => boolean]>} */
 const STATES = {
   all: ["All states", () => true],
-  told: ["Active", (alarm) => alarm.state !== "normal" && !alarm.suppressed],
+  active: ["Active", (alarm) => alarm.state !== "normal" && !alarm.suppressed],
   waiting: ["Not acknowledged", (alarm) => alarm.state === "unacknowledged" || alarm.state === "returned_unacknowledged"],
   suppressed: ["Shelved or out of service", (alarm) => Boolean(alarm.suppressed)],
-  closed: ["Closed", (alarm) => alarm.state === "normal"],
+  normal: ["Closed", (alarm) => alarm.state === "normal"],
 };
 const ALL = "";
 

@@ -1,13 +1,13 @@
-// What a verdict rests on: the limit beyond which a set is an outlier, and the cause of a change.
+// Read an assessment: the limit above which a set is an outlier, and the diagnosis of a change.
 
-/** @param {any} verdict that of an earlier version has two limits, under names of their own @returns {number | null} */
-export function limitOf(verdict) {
-  const ofColumns = verdict.limit_name === "paper_mean_3sd" ? verdict.limit_paper : verdict.limit_f;
-  return verdict.limits?.[verdict.limit_name] ?? ofColumns;
+/** @param {any} assessment of an earlier version: two limits with their own names @returns {number | null} */
+export function limitOf(assessment) {
+  const columnLimit = assessment.limit_name === "paper_mean_3sd" ? assessment.limit_paper : assessment.limit_f;
+  return assessment.limits?.[assessment.limit_name] ?? columnLimit;
 }
 
-/** Cause of a change in words, with its probability; what cannot be told has none. @param {any} verdict @returns {string} */
-export function causeOf(verdict) {
-  const sure = verdict.cause === "cannot tell" ? "" : ` (${Math.round(100 * verdict.cause_probability)} %)`;
-  return `${verdict.cause}${sure}`;
+/** Return the diagnosis of a change with its probability; an undetermined one has none. @param {any} assessment @returns {string} */
+export function diagnosisText(assessment) {
+  const probability = assessment.cause === "cannot tell" ? "" : ` (${Math.round(100 * assessment.cause_probability)} %)`;
+  return `${assessment.cause}${probability}`;
 }

@@ -1,16 +1,16 @@
-// What is read and when: history first, then what an event says has changed. The API is the only source of
-// what is drawn; an event only says what to read again.
+// Read the data of the page: history first, then what events report as changed. The API is the only source of
+// drawn data; an event only names what to read again.
 
-import { all, get, hasData, trend } from "./api.js";
-import { livesOf } from "./charts/baselines.js";
+import { getAllPages, get, hasData, trend } from "./api.js";
+import { readBaselines } from "./charts/baselines.js";
 import { PLANNED_SETS } from "./format.js";
 
 const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
 const RETRY_MS = 1000;
 const WAITING_MS = 300;
-/** Sets that are gone on with one by one; then the whole is read again, in bins. */
-const LONGEST = 2000;
+/** Maximum number of sets that are added one by one; with more, all are read again in bins. */
+const MAX_SETS = 2000;
 
 /** Columns that the charts always need, by method. @type {Record<string, string[]>} */
 export const FIELDS = {
@@ -20,105 +20,105 @@ export const FIELDS = {
 const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_pp_s", "amplitude_ratio"], pulse_echo: ["thickness_m"] });
 
 /**
- * @typedef {object} Reader
+ * @typedef {object} Listener
  * @property {() => string[]} drawn positions that the address shows
- * @property {() => void} onBegin the experiment is known: its positions may be chosen now
+ * @property {() => void} onStart the test is known: its positions may be chosen now
  * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
  * @property {() => void} onColumns columns or fits of a position are new
- * @property {() => void} onDetails columns of the hours that are looked at are new, and nothing else
- * @property {(why: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: over
- * @property {(error: Error) => void} onTrouble a reading failed
+ * @property {() => void} onDetails only columns of the shown hours are new
+ * @property {(reason: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: it does now
+ * @property {(error: Error) => void} onTrouble an update failed
  */
 
-export class Reading {
-  /** @param {Reader} reader */
-  constructor(reader) {
-    this.reader = reader;
+export class DataLoader {
+  /** @param {Listener} listener */
+  constructor(listener) {
+    this.listener = listener;
     /** @type {any} */
     this.info = null;
     /** @type {Map<string, any>} columns by position */
     this.trends = new Map();
-    /** Baselines by position, the present one last. @type {Map<string, import("./charts/baselines.js").Life[]>} */
-    this.lives = new Map();
+    /** Baselines by position, the current one last. @type {Map<string, import("./charts/baselines.js").Baseline[]>} */
+    this.baselines = new Map();
     /** @type {Map<string, any>} fits by position and field */
     this.fits = new Map();
-    /** @type {Map<string, any[]>} sets without a record, by position */
+    /** @type {Map<string, any[]>} sets without waveforms, by position */
     this.gaps = new Map();
     /** Confirmation sets by position. @type {Map<string, any[]>} */
-    this.beside = new Map();
+    this.confirmations = new Map();
     /** @type {any[]} */
     this.alarms = [];
     /** @type {any[]} notes that are not withdrawn */
     this.notes = [];
     this.feature = "";
-    /** Hours that are looked at; null: the whole test. @type {[number, number] | null} */
+    /** The shown hours; null: the complete test. @type {[number, number] | null} */
     this.span = null;
     /** Positions that are drawn. @type {string[]} */
     this.drawn = [];
-    /** @type {Map<string, any>} columns of these hours, of positions whose whole test comes in bins */
+    /** @type {Map<string, any>} columns of these hours, of positions whose complete test comes in bins */
     this.details = new Map();
-    /** Timer of the reading of these, or 0. */
-    this.looking = 0;
+    /** Timer that reads these columns, or 0. */
+    this.detailTimer = 0;
     this.refreshes = 0;
-    /** When everything that is shown was last read, by `performance.now()`. */
+    /** Time of the last complete update, by `performance.now()`. */
     this.readAt = 0;
-    this.dirty = { positions: new Set(), whole: new Set(), fits: new Set(), gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
+    this.dirty = { positions: new Set(), complete: new Set(), fits: new Set(), gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
     this.refreshing = false;
     this.refreshAgain = false;
     this.fitsReadAt = -Infinity;
   }
 
   /** @param {string} position */
-  place(position) {
-    return this.info?.positions.find((/** @type {any} */ place) => place.position === position);
+  positionInfo(position) {
+    return this.info?.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === position);
   }
 
-  /** All columns of the hours of its present baseline. @param {string} position */
+  /** Return all columns of the hours of its current baseline. @param {string} position */
   baseline(position) {
-    return this.lives.get(position)?.at(-1)?.trend;
+    return this.baselines.get(position)?.at(-1)?.trend;
   }
 
-  /** Whether a position has something to differ from: a probe its first reading, whenever that came. @param {string} position */
+  /** Return whether a position has a reference: for a probe, its first measurement. @param {string} position */
   hasBaseline(position) {
-    const probe = this.place(position)?.method === "pulse_echo";
+    const probe = this.positionInfo(position)?.method === "pulse_echo";
     const values = probe ? this.trends.get(position)?.columns.travel_time_s : this.baseline(position)?.columns.in_baseline;
     return Boolean(values?.some((/** @type {number | boolean | null} */ value) => value !== null && value !== false));
   }
 
-  /** Read on until there is something to show. @param {(after: number) => void} follow opens the events from there on */
-  async begin(follow) {
+  /** Wait until there is something to show, then read it. @param {(after: number) => void} openEvents opens the events after this id */
+  async start(openEvents) {
     try {
       if (!(await hasData())) {
-        this.reader.onWaiting("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
-        // From the first event on: somebody may have been asked to strike the first shot.
-        follow(0);
-        setTimeout(() => this.begin(follow), WAITING_MS);
+        this.listener.onWaiting("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
+        // From the first event on: the recorder may have asked an operator to strike the first shot.
+        openEvents(0);
+        setTimeout(() => this.start(openEvents), WAITING_MS);
         return;
       }
       this.info = await get("/info");
     } catch (error) {
-      this.reader.onWaiting(`The service does not answer: ${/** @type {Error} */ (error).message}`);
-      setTimeout(() => this.begin(follow), RETRY_MS);
+      this.listener.onWaiting(`The service does not answer: ${/** @type {Error} */ (error).message}`);
+      setTimeout(() => this.start(openEvents), RETRY_MS);
       return;
     }
-    this.reader.onWaiting("");
-    this.drawn = this.reader.drawn();
-    // Events from here on are read again; those before are in what is read now.
-    follow(this.info.last_event_id);
-    // Asked for before the page is built: what the service does meanwhile nobody waits for.
-    this.everything(0);
-    this.reader.onBegin();
+    this.listener.onWaiting("");
+    this.drawn = this.listener.drawn();
+    // Later events are read again; earlier ones are in what is read now.
+    openEvents(this.info.last_event_id);
+    // Request it before the page is built: both then take place at the same time.
+    this.reloadAll(0);
+    this.listener.onStart();
   }
 
-  everything(within_ms = REFRESH_MS) {
-    for (const place of this.info?.positions ?? []) this.wholly(place.position);
+  reloadAll(delayMs = REFRESH_MS) {
+    for (const positionInfo of this.info?.positions ?? []) this.reload(positionInfo.position);
     this.dirty.alarms = this.dirty.notes = this.dirty.info = this.dirty.environment = true;
-    this.schedule(within_ms);
+    this.schedule(delayMs);
   }
 
   /** @param {string} position */
-  wholly(position) {
-    this.dirty.whole.add(position);
+  reload(position) {
+    this.dirty.complete.add(position);
     this.dirty.gaps.add(position);
   }
 
@@ -127,50 +127,50 @@ export class Reading {
     this.schedule();
   }
 
-  /** Another feature is to be drawn. @param {string} feature */
-  choose(feature) {
+  /** Draw another feature. @param {string} feature */
+  setFeature(feature) {
     if (feature === this.feature) return;
     this.feature = feature;
-    for (const place of this.info?.positions ?? []) this.dirty.whole.add(place.position);
+    for (const positionInfo of this.info?.positions ?? []) this.dirty.complete.add(positionInfo.position);
     if (this.info) this.schedule();
   }
 
   /**
-   * Other hours are looked at: where the whole test comes in bins, theirs are finer.
+   * Show other hours: where the complete test comes in bins, theirs are finer.
    *
    * @param {[number, number] | null} span @param {string[]} positions that are drawn
    */
-  look(span, positions) {
+  setSpan(span, positions) {
     if (String([span, positions]) === String([this.span, this.drawn])) return;
     Object.assign(this, { span, drawn: positions });
     for (const position of this.details.keys()) if (span === null || !positions.includes(position)) this.details.delete(position);
-    if (span !== null && !this.looking && this.coarse().length) this.looking = setTimeout(() => this.readDetails(), REFRESH_MS);
+    if (span !== null && !this.detailTimer && this.coarse().length) this.detailTimer = setTimeout(() => this.readDetails(), REFRESH_MS);
   }
 
-  /** Positions that are drawn and whose whole test comes in bins. */
+  /** Return the drawn positions whose complete test comes in bins. */
   coarse() {
     return this.drawn.filter((position) => (this.trends.get(position)?.bin_sets ?? 1) > 1);
   }
 
-  /** Nothing but the hours that are looked at has changed: nothing else is read. */
+  /** Read columns of the shown hours only: nothing else has changed. */
   async readDetails() {
-    this.looking = 0;
+    this.detailTimer = 0;
     try {
       await Promise.all(this.coarse().map((position) => this.readDetail(position)));
-      this.reader.onDetails();
+      this.listener.onDetails();
     } catch (error) {
-      this.reader.onTrouble(/** @type {Error} */ (error));
-      setTimeout(() => this.everything(), 2 * RETRY_MS);
+      this.listener.onTrouble(/** @type {Error} */ (error));
+      setTimeout(() => this.reloadAll(), 2 * RETRY_MS);
     }
   }
 
-  /** What is drawn of a position: the finest there is of the hours that are looked at. @param {string} position */
+  /** Return the columns to draw of a position: the finest ones of the shown hours. @param {string} position */
   trend(position) {
     return this.details.get(position) ?? this.trends.get(position);
   }
 
   /** @param {string} topic @param {any} event */
-  hear(topic, event) {
+  onEvent(topic, event) {
     if (!this.info) return;
     const { dirty } = this;
     if (topic === "annotations") {
@@ -183,16 +183,16 @@ export class Reading {
     if (topic === "environment") dirty.environment = true;
     if (event.position) {
       const last = this.trends.get(event.position)?.columns.set_index.at(-1) ?? -1;
-      // A frozen baseline or a correction changes sets that are already drawn.
-      if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) this.wholly(event.position);
+      // A frozen baseline or a correction changes sets that are drawn already.
+      if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) this.reload(event.position);
       if (event.kind === "set_missed" || event.kind === "set_retired" || event.set_index >= PLANNED_SETS) dirty.gaps.add(event.position);
       dirty.positions.add(event.position);
-    } else if (!["alarms", "service", "environment"].includes(topic)) this.everything();
-    else if (topic !== "environment" && event.set_index !== null) for (const place of this.info.positions) dirty.positions.add(place.position);
+    } else if (!["alarms", "service", "environment"].includes(topic)) this.reloadAll();
+    else if (topic !== "environment" && event.set_index !== null) for (const positionInfo of this.info.positions) dirty.positions.add(positionInfo.position);
     this.schedule();
   }
 
-  schedule(within_ms = REFRESH_MS) {
+  schedule(delayMs = REFRESH_MS) {
     if (this.refreshing) {
       this.refreshAgain = true;
       return;
@@ -203,67 +203,67 @@ export class Reading {
       try {
         await this.refresh();
       } catch (error) {
-        this.reader.onTrouble(/** @type {Error} */ (error));
-        setTimeout(() => this.everything(), 2 * RETRY_MS);
+        this.listener.onTrouble(/** @type {Error} */ (error));
+        setTimeout(() => this.reloadAll(), 2 * RETRY_MS);
       }
       this.refreshing = false;
       if (this.refreshAgain || this.dirty.positions.size) this.schedule();
     };
-    if (within_ms > 0) setTimeout(now, within_ms);
+    if (delayMs > 0) setTimeout(now, delayMs);
     else void now();
   }
 
   async refresh() {
     const { dirty } = this;
-    const whole = new Set(dirty.whole);
-    const changed = new Set([...dirty.positions, ...whole]);
+    const complete = new Set(dirty.complete);
+    const changed = new Set([...dirty.positions, ...complete]);
     const { alarms, notes, info, environment } = dirty;
     const gaps = [...dirty.gaps];
-    this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
-    const { onRead } = this.reader;
-    // First of all: what the tiles say is the first thing to be seen.
-    const standing = async () => {
+    this.dirty = { positions: new Set(), complete: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
+    const { onRead } = this.listener;
+    // The tiles come first: a reader sees them first.
+    const readTransducers = async () => {
       const transducers = await get("/transducers");
       onRead({ transducers });
     };
-    const readings = [standing()];
-    const trendsOf = (/** @type {string[]} */ positions) => positions.map((position) => this.readTrend(position, whole.has(position)));
-    const firstly = [...changed].filter((position) => this.drawn.includes(position) && !this.trends.has(position));
-    if (firstly.length) {
-      for (const position of firstly) this.dirty.fits.add(position);
-      await Promise.all([...readings.splice(0), ...trendsOf(firstly), this.readFits()]);
+    const requests = [readTransducers()];
+    const trendsOf = (/** @type {string[]} */ positions) => positions.map((position) => this.readTrend(position, complete.has(position)));
+    const initial = [...changed].filter((position) => this.drawn.includes(position) && !this.trends.has(position));
+    if (initial.length) {
+      for (const position of initial) this.dirty.fits.add(position);
+      await Promise.all([...requests.splice(0), ...trendsOf(initial), this.readFits()]);
       this.readAt = performance.now();
-      this.reader.onColumns();
+      this.listener.onColumns();
     }
-    readings.push(...trendsOf([...changed].filter((position) => !firstly.includes(position))));
-    readings.push(...gaps.map((position) => this.readGaps(position)));
-    if (alarms) readings.push(all("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
-    if (notes) readings.push(all("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
-    if (info) readings.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
-    if (environment) readings.push(this.readEnvironment());
-    await Promise.all(readings);
+    requests.push(...trendsOf([...changed].filter((position) => !initial.includes(position))));
+    requests.push(...gaps.map((position) => this.readGaps(position)));
+    if (alarms) requests.push(getAllPages("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
+    if (notes) requests.push(getAllPages("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
+    if (info) requests.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
+    if (environment) requests.push(this.readEnvironment());
+    await Promise.all(requests);
     for (const position of changed) this.dirty.fits.add(position);
     if (performance.now() - this.fitsReadAt > FIT_REFRESH_MS) await this.readFits();
-    else setTimeout(() => this.dirty.fits.size && this.readFits().then(this.reader.onColumns, this.reader.onTrouble), FIT_REFRESH_MS);
+    else setTimeout(() => this.dirty.fits.size && this.readFits().then(this.listener.onColumns, this.listener.onTrouble), FIT_REFRESH_MS);
     this.refreshes += 1;
     this.readAt = performance.now();
-    this.reader.onColumns();
+    this.listener.onColumns();
   }
 
   async readEnvironment() {
-    this.reader.onRead({ environment: await get("/environment/latest") });
+    this.listener.onRead({ environment: await get("/environment/latest") });
   }
 
-  /** @param {string} position @param {boolean} whole false: only what is newer than what is here */
-  async readTrend(position, whole) {
-    const place = this.place(position);
-    if (!place) return;
-    const known = whole ? undefined : this.trends.get(position);
-    // Bins are not gone on with: another set may change the last one, and in time their width.
-    const before = known && known.bin_sets === 1 && known.columns.due_h.length < LONGEST ? known : undefined;
+  /** @param {string} position @param {boolean} complete false: only sets after the last known one */
+  async readTrend(position, complete) {
+    const positionInfo = this.positionInfo(position);
+    if (!positionInfo) return;
+    const known = complete ? undefined : this.trends.get(position);
+    // Sets are not added to bins: another set may change the last bin, and in time the width of all.
+    const before = known && known.bin_sets === 1 && known.columns.due_h.length < MAX_SETS ? known : undefined;
     const from_h = before?.columns.due_h.at(-1);
-    const lives = this.lives.get(position);
-    if (whole || !lives || (from_h ?? 0) <= (lives.at(-1)?.row.to_h ?? 0)) this.lives.set(position, await livesOf(position, place.method, this.info.schedule.baseline_h, whole ? [] : lives));
+    const baselines = this.baselines.get(position);
+    if (complete || !baselines || (from_h ?? 0) <= (baselines.at(-1)?.row.to_h ?? 0)) this.baselines.set(position, await readBaselines(position, positionInfo.method, this.info.schedule.baseline_h, complete ? [] : baselines));
     const fields = this.fieldsOf(position);
     const answer = await trend(position, fields, { from_h });
     if (answer.bin_sets > 1 && this.drawn.includes(position)) await this.readDetail(position);
@@ -271,16 +271,16 @@ export class Reading {
       this.trends.set(position, answer.bin_sets > 1 && before ? await trend(position, fields) : answer);
       return;
     }
-    // Another reading may have come first: keep each set once.
+    // Another update may have arrived first: keep each set once.
     const last = before.columns.set_index.at(-1) ?? -1;
     const start = answer.columns.set_index.findIndex((/** @type {number} */ index) => index > last);
     if (start >= 0) for (const key of Object.keys(before.columns)) before.columns[key].push(...answer.columns[key].slice(start));
     before.as_of = answer.as_of;
   }
 
-  /** @param {string} position whose baseline's hours were read */
+  /** @param {string} position whose baseline has been read */
   fieldsOf(position) {
-    const always = FIELDS[this.place(position).method];
+    const always = FIELDS[this.positionInfo(position).method];
     const also = this.feature in this.baseline(position).columns && !always.includes(this.feature);
     return also ? [...always, this.feature] : always;
   }
@@ -294,11 +294,11 @@ export class Reading {
     if (String(span) === String(this.span)) this.details.set(position, detail);
   }
 
-  /** Sets that were missed, fell into a retirement or stand beside the plan: marks of the charts. @param {string} position */
+  /** Read missed, disabled and unscheduled sets: marks of the charts. @param {string} position */
   async readGaps(position) {
     const which = ["state=missed", "state=retired", "purpose=confirmation"];
-    const pages = await Promise.all(which.map((one) => all(`/sets?position=${position}&${one}&limit=1000`)));
-    this.beside.set(position, pages.pop() ?? []);
+    const pages = await Promise.all(which.map((one) => getAllPages(`/sets?position=${position}&${one}&limit=1000`)));
+    this.confirmations.set(position, pages.pop() ?? []);
     this.gaps.set(position, pages.flat().sort((a, b) => a.set_index - b.set_index));
   }
 
@@ -307,7 +307,7 @@ export class Reading {
     const positions = [...this.dirty.fits];
     this.dirty.fits.clear();
     await Promise.all(
-      positions.flatMap((position) => (FITTED[this.place(position)?.method] ?? []).map(async (field) => this.fits.set(`${position} ${field}`, await get(`/fits/${position}?field=${field}`)))),
+      positions.flatMap((position) => (FITTED[this.positionInfo(position)?.method] ?? []).map(async (field) => this.fits.set(`${position} ${field}`, await get(`/fits/${position}?field=${field}`)))),
     );
   }
 }

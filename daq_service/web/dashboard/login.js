@@ -1,11 +1,11 @@
-// The way in: where the service asks for a token, nothing else begins before the page has one.
+// Log in: where the service needs a token, nothing else starts before the page has one.
 
 import { get, post, remove } from "./api.js";
 import { byId, el, setText } from "./dom.js";
 
 /** @typedef {import("./control/session.js").Session} Session */
 
-/** Ends once this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
+/** Wait until this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
 export async function admitted() {
   /** @type {Session} */
   let session = await get("/session");

@@ -1,49 +1,49 @@
-// Hold and release: a button that asks why, and a banner for as long as nothing strikes.
+// Pause and resume the test: a button that asks for the reason, and a banner while nothing strikes.
 
-import { confirmed } from "./control/confirm.js";
-import { may } from "./control/session.js";
+import { askConfirmation } from "./control/confirm.js";
+import { isAllowed } from "./control/session.js";
 import { byId, setText } from "./dom.js";
 import { icon } from "./icons.js";
-import { giveBy } from "./commands.js";
+import { sendByButton } from "./commands.js";
 
-export class Hold {
+export class PauseControl {
   /** @param {(text: string) => void} onTrouble */
   constructor(onTrouble) {
     this.onTrouble = onTrouble;
-    this.button = /** @type {HTMLButtonElement} */ (byId("hold"));
-    this.banner = byId("held");
-    this.releaseButton = /** @type {HTMLButtonElement} */ (byId("release"));
-    byId("held-icon").append(icon("pause"));
-    this.button.addEventListener("click", () => void this.hold());
-    this.releaseButton.addEventListener("click", () => void this.release());
+    this.button = /** @type {HTMLButtonElement} */ (byId("pause"));
+    this.banner = byId("paused");
+    this.resumeButton = /** @type {HTMLButtonElement} */ (byId("resume"));
+    byId("paused-icon").append(icon("pause"));
+    this.button.addEventListener("click", () => void this.pause());
+    this.resumeButton.addEventListener("click", () => void this.resume());
   }
 
-  /** @param {string | null} held who holds the test and why @param {string} recorder */
-  update(held, recorder) {
-    const listens = recorder !== "finished" && recorder !== "stopped";
-    this.banner.hidden = held === null;
-    this.button.hidden = held !== null || !listens || !may("hold");
-    this.releaseButton.hidden = !listens || !may("release");
-    setText(byId("held-why"), held === null ? "" : `${held[0].toUpperCase()}${held.slice(1)}`);
+  /** @param {string | null} pausedBy who has paused the test and the reason @param {string} recorder */
+  update(pausedBy, recorder) {
+    const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
+    this.banner.hidden = pausedBy === null;
+    this.button.hidden = pausedBy !== null || !acceptsCommands || !isAllowed("hold");
+    this.resumeButton.hidden = !acceptsCommands || !isAllowed("release");
+    setText(byId("paused-reason"), pausedBy === null ? "" : `${pausedBy[0].toUpperCase()}${pausedBy.slice(1)}`);
   }
 
-  async hold() {
-    const given = await confirmed({
+  async pause() {
+    const answers = await askConfirmation({
       title: "Hold the test",
-      says: ["The strike that is under way ends, none follows, and a restart does not end the hold."],
-      word: "Hold now",
-      // A hold is the safe choice itself: what it needs has the focus.
+      paragraphs: ["The strike that is under way ends, none follows, and a restart does not end the hold."],
+      submitLabel: "Hold now",
+      // To pause is the safe choice itself: the field that it needs has the focus.
       fields: [{ name: "note", label: "Reason", first: true, input: { required: true, pattern: ".*\\S.*", placeholder: "hands in the rig" } }],
     });
-    if (given) await giveBy(this.button, "hold", given, this.onTrouble);
+    if (answers) await sendByButton(this.button, "hold", answers, this.onTrouble);
   }
 
-  async release() {
-    const given = await confirmed({
+  async resume() {
+    const answers = await askConfirmation({
       title: "Release the test",
-      says: ["Strikers move again from the next due set on: hands out of the rig, doors shut.", "To take it back, hold the test again."],
-      word: "Release now",
+      paragraphs: ["Strikers move again from the next due set on: hands out of the rig, doors shut.", "To take it back, hold the test again."],
+      submitLabel: "Release now",
     });
-    if (given) await giveBy(this.releaseButton, "release", {}, this.onTrouble);
+    if (answers) await sendByButton(this.resumeButton, "release", {}, this.onTrouble);
   }
 }

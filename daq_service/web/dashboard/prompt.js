@@ -1,4 +1,4 @@
-// What a person shall do now: a banner with the time that is left, gone when it is done or too late.
+// Ask the operator to act: a banner with the remaining time, hidden when it is done or too late.
 
 import { byId, setText } from "./dom.js";
 import { duration } from "./format.js";
@@ -6,35 +6,35 @@ import { icon } from "./icons.js";
 
 const TICK_MS = 250;
 
-export class Asked {
+export class OperatorPrompt {
   constructor() {
-    this.banner = byId("asked");
-    this.untilMs = 0;
-    byId("asked-icon").append(icon("bell"));
+    this.banner = byId("prompt");
+    this.deadlineMs = 0;
+    byId("prompt-icon").append(icon("bell"));
     setInterval(() => this.tick(), TICK_MS);
   }
 
   /** @param {any} event of the topic `service` */
-  hear(event) {
-    // Of an event that is told late `/info`, which is read after it, knows what is left.
+  onEvent(event) {
+    // For an event that arrives late, `/info`, which is read after it, has the remaining time.
     if (event.kind === "asked") this.show({ ...event.payload, left_s: event.payload.within_s });
     else if (["asked_over", "recorder_started", "recorder_stopped"].includes(event.kind)) this.show(null);
   }
 
-  /** @param {any} asked as `/info` tells it; null: nothing */
-  show(asked) {
-    this.untilMs = asked === null ? 0 : performance.now() + 1000 * asked.left_s;
-    if (asked !== null) {
-      setText(byId("asked-text"), asked.text);
-      const which = asked.position == null ? "" : `Position ${asked.position}, set ${asked.set_index + 1}, shot ${asked.shot_index + 1}`;
-      setText(byId("asked-shot"), asked.attempt ? `${which}, once more` : which);
+  /** @param {any} request from `/info`; null: no action is needed */
+  show(request) {
+    this.deadlineMs = request === null ? 0 : performance.now() + 1000 * request.left_s;
+    if (request !== null) {
+      setText(byId("prompt-text"), request.text);
+      const shotText = request.position == null ? "" : `Position ${request.position}, set ${request.set_index + 1}, shot ${request.shot_index + 1}`;
+      setText(byId("prompt-shot"), request.attempt ? `${shotText}, once more` : shotText);
     }
     this.tick();
   }
 
   tick() {
-    const leftS = (this.untilMs - performance.now()) / 1000;
-    if (this.banner.hidden !== leftS <= 0) this.banner.hidden = leftS <= 0;
-    if (leftS > 0) setText(byId("asked-left"), duration(Math.ceil(leftS)));
+    const remainingS = (this.deadlineMs - performance.now()) / 1000;
+    if (this.banner.hidden !== remainingS <= 0) this.banner.hidden = remainingS <= 0;
+    if (remainingS > 0) setText(byId("prompt-remaining"), duration(Math.ceil(remainingS)));
   }
 }

@@ -1,4 +1,4 @@
-// The marks of a record: which pulses it has, drawn where they were found.
+// Draw the pulses of a waveform where they were found.
 
 import { color } from "./dom.js";
 

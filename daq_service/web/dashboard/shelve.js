@@ -1,8 +1,8 @@
-// Shelving: for how long, and why. An alarm is told again when the time is over, or when a person says so.
+// Shelve an alarm for a time and a reason. It is shown again when the time is over or a person unshelves it.
 
 import { el, setText } from "./dom.js";
 import { utc } from "./format.js";
-import { order } from "./commands.js";
+import { sendCommand } from "./commands.js";
 
 const LENGTHS = [
   ["1", "1 hour"],
@@ -12,19 +12,20 @@ const LENGTHS = [
   ["", "until it is returned to service"],
 ];
 
-/** What is told of an alarm that is suppressed; empty: it is not. @param {any} alarm */
+/** Return how and why an alarm is suppressed; empty: it is not. @param {any} alarm */
 export function suppressedText(alarm) {
   if (!alarm.suppressed) return "";
-  const how = alarm.suppressed === "shelved" ? `shelved until ${utc(alarm.shelved_until_utc)}` : "out of service";
-  return `${how} by ${alarm.suppressed_by}: ${alarm.suppressed_because}`;
+  const state = alarm.suppressed === "shelved" ? `shelved until ${utc(alarm.shelved_until_utc)}` : "out of service";
+  const { suppressed_by: author, suppressed_because: reason } = alarm;
+  return `${state} by ${author}: ${reason}`;
 }
 
-/** @param {any} alarm @param {(word: string) => void} say */
-export async function tellAgain(alarm, say) {
-  await order(alarm.suppressed === "shelved" ? "unshelve_alarm" : "return_to_service", { alarm_id: alarm.id }, say);
+/** @param {any} alarm @param {(text: string) => void} report */
+export async function restoreAlarm(alarm, report) {
+  await sendCommand(alarm.suppressed === "shelved" ? "unshelve_alarm" : "return_to_service", { alarm_id: alarm.id }, report);
 }
 
-export class ShelfDialog {
+export class ShelveDialog {
   constructor() {
     this.id = 0;
     this.what = el("p", { class: "quiet" });
@@ -66,8 +67,8 @@ export class ShelfDialog {
   async save() {
     const hours = this.length.value;
     try {
-      const given = { alarm_id: this.id, reason: this.reason.value };
-      await order(hours ? "shelve_alarm" : "take_out_of_service", hours ? { ...given, for_h: Number(hours) } : given, (word) => setText(this.trouble, word));
+      const args = { alarm_id: this.id, reason: this.reason.value };
+      await sendCommand(hours ? "shelve_alarm" : "take_out_of_service", hours ? { ...args, for_h: Number(hours) } : args, (text) => setText(this.trouble, text));
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);

@@ -1,4 +1,4 @@
-// A reading that failed, and how old what is shown has become since.
+// Show a failed update, and the age of the data on the page.
 
 import { el, setText } from "./dom.js";
 import { duration } from "./format.js";
@@ -6,26 +6,26 @@ import { icon } from "./icons.js";
 
 const TICK_MS = 1000;
 
-export class Failing {
+export class UpdateFailure {
   /** @param {HTMLElement} root */
   constructor(root) {
     this.root = root;
-    this.why = el("strong");
+    this.reason = el("strong");
     this.age = el("span");
-    root.append(el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"), el("p", {}, this.why, " ", this.age));
+    root.append(el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"), el("p", {}, this.reason, " ", this.age));
     this.readAt = 0;
     setInterval(() => this.tick(), TICK_MS);
   }
 
-  /** @param {Error} error @param {number} readAt when everything was last read, by `performance.now()`; 0: never */
+  /** @param {Error} error @param {number} readAt time of the last complete update, by `performance.now()`; 0: never */
   fail(error, readAt) {
     this.readAt = readAt;
-    setText(this.why, `The last reading failed: ${error.message}.`);
+    setText(this.reason, `The last reading failed: ${error.message}.`);
     this.root.hidden = false;
     this.tick();
   }
 
-  end() {
+  clear() {
     this.root.hidden = true;
   }
 

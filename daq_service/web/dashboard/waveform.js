@@ -1,4 +1,4 @@
-// The newest record of a position, as the recorder's live picture shows it.
+// Show the newest waveform of a position, live from the recorder.
 
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 import { axisLook } from "./charts/plot.js";
@@ -6,14 +6,14 @@ import { color, el, setText } from "./dom.js";
 import { NONE, fixed, hour, quantity, setName } from "./format.js";
 import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
-/** @typedef {import("./streams.js").Record_} Record_ */
+/** @typedef {import("./streams.js").Waveform} Waveform */
 
 
 export class SolimonWaveform extends HTMLElement {
   constructor() {
     super();
-    /** @type {Record_ | null} */
-    this.record = null;
+    /** @type {Waveform | null} */
+    this.waveform = null;
     /** @type {any} */
     this.plot = null;
     this.received = 0;
@@ -53,7 +53,7 @@ export class SolimonWaveform extends HTMLElement {
 
   /** @param {string} position @param {string} label */
   select(position, label) {
-    this.record = null;
+    this.waveform = null;
     this.plot?.destroy();
     this.plot = null;
     this.emptyText.hidden = false;
@@ -65,26 +65,26 @@ export class SolimonWaveform extends HTMLElement {
     delete this.dataset.sequence;
   }
 
-  /** @param {Record_} record */
-  show(record) {
-    const sameKind = this.record?.header.method === record.header.method && this.record?.volts.length === record.volts.length;
-    this.record = record;
+  /** @param {Waveform} waveform */
+  show(waveform) {
+    const sameKind = this.waveform?.header.method === waveform.header.method && this.waveform?.volts.length === waveform.volts.length;
+    this.waveform = waveform;
     this.received = performance.now();
     this.changes += 1;
-    this.dataset.sequence = String(record.header.sequence);
-    this.dataset.samples = String(record.volts.length);
+    this.dataset.sequence = String(waveform.header.sequence);
+    this.dataset.samples = String(waveform.volts.length);
     this.emptyText.hidden = true;
-    const { header } = record;
+    const { header } = waveform;
     setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
     this.fillReadouts();
     this.box.setAttribute("aria-label", `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`);
-    if (this.plot && sameKind) this.plot.setData([record.micros, record.volts]);
+    if (this.plot && sameKind) this.plot.setData([waveform.micros, waveform.volts]);
     else this.draw();
     if (!this.tableBox.hidden) this.fillTable();
   }
 
   fillReadouts() {
-    const { header, volts } = /** @type {Record_} */ (this.record);
+    const { header, volts } = /** @type {Waveform} */ (this.waveform);
     const groups = [];
     if (header.method === "solitary_wave") {
       for (const pulse of PULSES) {
@@ -104,8 +104,8 @@ export class SolimonWaveform extends HTMLElement {
   }
 
   fillTable() {
-    if (!this.record) return;
-    const { micros, volts } = this.record;
+    if (!this.waveform) return;
+    const { micros, volts } = this.waveform;
     const step = Math.max(1, Math.ceil(volts.length / 400));
     const body = el("tbody");
     for (let k = 0; k < volts.length; k += step) {
@@ -128,15 +128,15 @@ export class SolimonWaveform extends HTMLElement {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.box;
     if (this.plot && width && height) this.plot.setSize({ width, height });
-    else if (!this.plot && this.record) this.draw();
+    else if (!this.plot && this.waveform) this.draw();
   }
 
-  /** Draw anew, e.g. in the colours of another theme. */
+  /** Draw again, e.g. in the colors of another theme. */
   draw() {
     this.plot?.destroy();
     this.plot = null;
     const { clientWidth: width, clientHeight: height } = this.box;
-    if (!this.record || !width || !height) return;
+    if (!this.waveform || !width || !height) return;
     const axis = axisLook();
     this.plot = new uPlot(
       {
@@ -164,27 +164,27 @@ export class SolimonWaveform extends HTMLElement {
           setCursor: [
             (/** @type {any} */ u) => {
               const index = u.cursor.idx;
-              const record = this.record;
-              setText(this.readout, record && index !== null && index !== undefined ? `${record.micros[index].toFixed(2)} µs · ${record.volts[index].toFixed(4)} V` : "");
+              const waveform = this.waveform;
+              setText(this.readout, waveform && index !== null && index !== undefined ? `${waveform.micros[index].toFixed(2)} µs · ${waveform.volts[index].toFixed(4)} V` : "");
             },
           ],
         },
       },
-      /** @type {any} */ ([this.record.micros, this.record.volts]),
+      /** @type {any} */ ([this.waveform.micros, this.waveform.volts]),
       this.box,
     );
   }
 
   /** @param {any} u */
   drawMarks(u) {
-    const { header } = /** @type {Record_} */ (this.record);
+    const { header } = /** @type {Waveform} */ (this.waveform);
     if (header.method === "solitary_wave") drawPulses(u, marksOf(header.marks));
   }
 
-  /** What is drawn, for tests and for the curious; copies. */
+  /** Return copies of what is drawn, for tests and the console. */
   snapshot() {
-    return this.record === null
+    return this.waveform === null
       ? null
-      : { header: structuredClone(this.record.header), volts: [...this.record.volts], micros: [...this.record.micros], changes: this.changes, drawn: Boolean(this.plot) };
+      : { header: structuredClone(this.waveform.header), volts: [...this.waveform.volts], micros: [...this.waveform.micros], changes: this.changes, drawn: Boolean(this.plot) };
   }
 }

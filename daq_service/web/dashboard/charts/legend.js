@@ -1,4 +1,4 @@
-// Small pictures of what a chart draws.
+// Draw small swatches of what a chart shows.
 
 const SVG = "http://www.w3.org/2000/svg";
 const SHAPES = ["M14 5a3 3 0 1 1-6 0a3 3 0 1 1 6 0z", "M8.3 2.3h5.4v5.4H8.3z", "M11 1.4l3.3 6.3H7.7z", "M11 8.6l3.3-6.3H7.7z"];

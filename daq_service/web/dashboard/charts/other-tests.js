@@ -1,29 +1,29 @@
-// Series of other tests of this service, by hours since each one's hour 0; which ones, the address says.
+// Read series of other tests of this service, in hours since hour 0 of each; the address names them.
 
 import { BASE, get, trend } from "../api.js";
 import { FIELDS } from "../data-loader.js";
-import { livesOf } from "./baselines.js";
+import { readBaselines } from "./baselines.js";
 
 const REFRESH_MS = 5000;
 
-/** @typedef {{test: string, position: string}} Where */
+/** @typedef {{test: string, position: string}} TestPosition */
 
 /** Entries of `compare` are positions of this test, or `TEST:POSITION` of another. @param {string} entry */
 export const isOther = (entry) => entry.includes(":");
 
-/** @param {string} entry @returns {Where} */
-export function whereOf(entry) {
+/** @param {string} entry @returns {TestPosition} */
+export function parseEntry(entry) {
   const [test, position] = entry.split(":");
   return { test, position };
 }
 
-/** As a legend says it. @param {string} entry */
+/** Return the name of an entry for the legend. @param {string} entry */
 export const nameOf = (entry) => entry.replace(":", " ");
 
-/** Where a test is, as `api.js` wants it. @param {string} test */
+/** Return the base path of a test for `api.js`. @param {string} test */
 const baseOf = (test) => `/tests/${encodeURIComponent(test)}`;
 
-export class Others {
+export class OtherTests {
   /** @param {() => void} onChange lists or series are new */
   constructor(onChange) {
     this.onChange = onChange;
@@ -33,17 +33,17 @@ export class Others {
     this.readAt = 0;
     /** @type {Map<string, any>} columns by entry */
     this.trends = new Map();
-    /** Baselines by entry, the present one last. @type {Map<string, import("./baselines.js").Life[]>} */
-    this.lives = new Map();
-    /** @type {Map<string, string>} why an entry is not drawn */
-    this.troubles = new Map();
+    /** Baselines by entry, the current one last. @type {Map<string, import("./baselines.js").Baseline[]>} */
+    this.baselines = new Map();
+    /** @type {Map<string, string>} reason why an entry is not drawn */
+    this.errors = new Map();
     /** @type {string[]} */
     this.chosen = [];
     this.feature = "";
     /** @type {[number, number] | null} */
     this.span = null;
-    this.asked = "";
-    this.reading = false;
+    this.requested = "";
+    this.isLoading = false;
   }
 
   /** @param {import("../view.js").View} view */
@@ -52,77 +52,77 @@ export class Others {
     this.chosen = view.compare.filter(isOther);
     this.feature = view.feature;
     this.span = view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h];
-    const asked = JSON.stringify([this.chosen, this.feature, this.chosen.length ? this.span : null]);
-    if (asked === this.asked) return;
-    const first = this.asked === "";
-    this.asked = asked;
+    const requested = JSON.stringify([this.chosen, this.feature, this.chosen.length ? this.span : null]);
+    if (requested === this.requested) return;
+    const first = this.requested === "";
+    this.requested = requested;
     for (const one of [...this.trends.keys()]) if (!this.chosen.includes(one)) this.forget(one);
-    if (first) void this.readOn();
+    if (first) void this.poll();
     else void this.read();
   }
 
   /** @param {string} entry */
   forget(entry) {
-    for (const kept of [this.trends, this.lives, this.troubles]) kept.delete(entry);
+    for (const kept of [this.trends, this.baselines, this.errors]) kept.delete(entry);
   }
 
-  /** @param {string} entry @returns {any} how the service lists its test */
+  /** @param {string} entry @returns {any} its test in the service's list */
   listed(entry) {
-    return this.items.find((item) => item.test === whereOf(entry).test);
+    return this.items.find((item) => item.test === parseEntry(entry).test);
   }
 
-  /** @param {string} entry @returns {any} how its position stands */
-  place(entry) {
-    return this.listed(entry)?.standing?.positions.find((/** @type {any} */ place) => place.position === whereOf(entry).position);
+  /** @param {string} entry @returns {any} state of its position */
+  positionInfo(entry) {
+    return this.listed(entry)?.standing?.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === parseEntry(entry).position);
   }
 
-  /** Again and again, each time once the answers have come. */
-  async readOn() {
+  /** Read regularly, each time after the last answers. */
+  async poll() {
     if (!document.hidden) await this.read();
-    setTimeout(() => this.readOn(), REFRESH_MS);
+    setTimeout(() => this.poll(), REFRESH_MS);
   }
 
   async read() {
-    if (this.reading) return;
-    this.reading = true;
-    const { asked } = this;
+    if (this.isLoading) return;
+    this.isLoading = true;
+    const { requested } = this;
     try {
       const { items } = await get("/tests", "");
       this.items = items.filter((/** @type {any} */ item) => item.page !== `${BASE}/`);
       this.readAt = performance.now();
       await Promise.all(this.chosen.map((entry) => this.readOne(entry)));
     } catch (error) {
-      for (const entry of this.chosen) this.troubles.set(entry, /** @type {Error} */ (error).message);
+      for (const entry of this.chosen) this.errors.set(entry, /** @type {Error} */ (error).message);
     }
-    this.reading = false;
+    this.isLoading = false;
     this.onChange();
-    if (asked !== this.asked) void this.read();
+    if (requested !== this.requested) void this.read();
   }
 
   /** @param {string} entry */
   async readOne(entry) {
-    const { test, position } = whereOf(entry);
-    const place = this.place(entry);
-    if (!place) {
-      this.troubles.set(entry, this.listed(entry)?.detail ?? `this service has no ${nameOf(entry)}`);
+    const { test, position } = parseEntry(entry);
+    const positionInfo = this.positionInfo(entry);
+    if (!positionInfo) {
+      this.errors.set(entry, this.listed(entry)?.detail ?? `this service has no ${nameOf(entry)}`);
       this.trends.delete(entry);
       return;
     }
     try {
       const base = baseOf(test);
       const { schedule } = await get("/info", base);
-      const lives = await livesOf(position, place.method, schedule.baseline_h, this.lives.get(entry), base);
-      this.lives.set(entry, lives);
-      const fields = [...FIELDS[place.method]];
-      if (this.feature in lives[lives.length - 1].trend.columns && !fields.includes(this.feature)) fields.push(this.feature);
+      const baselines = await readBaselines(position, positionInfo.method, schedule.baseline_h, this.baselines.get(entry), base);
+      this.baselines.set(entry, baselines);
+      const fields = [...FIELDS[positionInfo.method]];
+      if (this.feature in baselines[baselines.length - 1].trend.columns && !fields.includes(this.feature)) fields.push(this.feature);
       const { span } = this;
       const wide = span ? { from_h: Math.max(0, span[0] - (span[1] - span[0]) / 2), to_h: span[1] + (span[1] - span[0]) / 2 } : {};
       const found = await trend(position, fields, wide, base);
       if (!this.chosen.includes(entry)) return;
       this.trends.set(entry, found);
-      this.troubles.delete(entry);
+      this.errors.delete(entry);
     } catch (error) {
-      this.troubles.set(entry, /** @type {Error} */ (error).message);
+      this.errors.set(entry, /** @type {Error} */ (error).message);
     }
   }
 }

@@ -1,7 +1,7 @@
-// Who sits here: whom the token names, or a name that this browser remembers and nobody has checked.
+// Know the user: the name of the token, or an unverified name that this browser remembers.
 
 import { byId, setText } from "../dom.js";
-import { confirmed } from "./confirm.js";
+import { askConfirmation } from "./confirm.js";
 
 /** @typedef {{token_needed: boolean, name: string | null, role: string | null, may: string[]}} Session */
 
@@ -9,49 +9,49 @@ const NAME_KEY = "solimon-name";
 /** @type {Session} */
 let session = { token_needed: false, name: null, role: null, may: [] };
 
-/** @param {Session} told by the service */
-export function enter(told) {
-  session = told;
+/** @param {Session} loaded by the service */
+export function startSession(loaded) {
+  session = loaded;
   const button = byId("name");
   button.hidden = session.token_needed;
-  button.addEventListener("click", () => void ask());
-  show();
+  button.addEventListener("click", () => void askName());
+  showName();
 }
 
-/** @param {string} what operation or kind of order, as the service's table of roles calls it */
-export function may(what) {
-  return session.may.includes(what);
+/** @param {string} action operation or kind of command, as named in the service's table of roles */
+export function isAllowed(action) {
+  return session.may.includes(action);
 }
 
-/** Why what is not allowed is not. */
-export function whyNot() {
+/** Return the reason why an action is not allowed. */
+export function denialReason() {
   return `${session.name} is ${session.role}: this role does not allow it.`;
 }
 
 /**
- * Name that an order bears; asked for once where no token says it.
+ * Return the author of a command; ask for the name once where no token has it.
  *
  * @returns {Promise<string>}
  */
-export async function author() {
-  const name = session.name ?? localStorage.getItem(NAME_KEY) ?? (await ask());
+export async function authorName() {
+  const name = session.name ?? localStorage.getItem(NAME_KEY) ?? (await askName());
   if (!name) throw new Error("nothing was sent: an order bears the name of whoever gives it");
   return name;
 }
 
-async function ask() {
-  const given = await confirmed({
+async function askName() {
+  const answers = await askConfirmation({
     title: "Your name",
-    says: ["Orders and the audit bear it, marked as claimed: without tokens nobody checks it. This browser remembers it."],
-    word: "Use this name",
+    paragraphs: ["Orders and the audit bear it, marked as claimed: without tokens nobody checks it. This browser remembers it."],
+    submitLabel: "Use this name",
     fields: [{ name: "name", label: "Name", first: true, input: { required: true, maxlength: "80", pattern: ".*\\S.*", value: localStorage.getItem(NAME_KEY) ?? "" } }],
   });
-  if (given) localStorage.setItem(NAME_KEY, given.name);
-  show();
-  return given?.name ?? null;
+  if (answers) localStorage.setItem(NAME_KEY, answers.name);
+  showName();
+  return answers?.name ?? null;
 }
 
-function show() {
+function showName() {
   const name = localStorage.getItem(NAME_KEY);
   setText(byId("name"), name ? `${name} (claimed)` : "Say your name");
 }

@@ -1,44 +1,44 @@
-// Notices a connection that is frozen: while it works it brings heartbeats, and after a sleep it may be dead.
+// Detect a frozen connection: while it works it brings heartbeats, and after a sleep it may be dead.
 
-const LOOK_MS = 1000;
-/** The second missed heartbeat may come a little late. */
-const MISSED = 2.2;
-/** A service that is there answers sooner; a browser may try a connection that it kept and that is dead. */
+const CHECK_MS = 1000;
+/** The second missed heartbeat may come slightly late. */
+const MISSED_BEATS = 2.2;
+/** A running service answers sooner; a browser may try a cached connection that is dead. */
 const CONNECT_S = 10;
 
-export class Watch {
-  /** @param {number} intervalS between heartbeats, until one states another @param {() => void} onSilent called after each silence */
-  constructor(intervalS, onSilent) {
+export class HeartbeatMonitor {
+  /** @param {number} intervalS between heartbeats, until one states another interval @param {() => void} onTimeout called after each silence */
+  constructor(intervalS, onTimeout) {
     this.intervalS = intervalS;
-    this.onSilent = onSilent;
-    this.withinS = 0;
-    /** By the wall clock, since others stop while the computer sleeps; 0: nothing is expected. */
-    this.since = 0;
-    setInterval(() => this.look(), LOOK_MS);
+    this.onTimeout = onTimeout;
+    this.timeoutS = 0;
+    /** By the wall clock, since other clocks stop while the computer sleeps; 0: no heartbeat is expected. */
+    this.lastBeatMs = 0;
+    setInterval(() => this.check(), CHECK_MS);
   }
 
-  /** A sign of life: another one is expected. @param {number} [intervalS] @param {number} [missed] */
-  alive(intervalS, missed = MISSED) {
+  /** Record a heartbeat and expect the next one. @param {number} [intervalS] @param {number} [missed] */
+  beat(intervalS, missed = MISSED_BEATS) {
     this.intervalS = intervalS || this.intervalS;
-    this.withinS = missed * this.intervalS;
-    this.since = Date.now();
+    this.timeoutS = missed * this.intervalS;
+    this.lastBeatMs = Date.now();
   }
 
   connecting() {
-    this.alive();
-    this.withinS = Math.min(this.withinS, CONNECT_S);
+    this.beat();
+    this.timeoutS = Math.min(this.timeoutS, CONNECT_S);
   }
 
-  rest() {
-    this.since = 0;
+  stop() {
+    this.lastBeatMs = 0;
   }
 
-  look() {
-    if (this.since === 0) return;
-    // A clock that was set back starts the time again.
-    this.since = Math.min(this.since, Date.now());
-    if (Date.now() - this.since <= this.withinS * 1000) return;
-    this.since = Date.now();
-    this.onSilent();
+  check() {
+    if (this.lastBeatMs === 0) return;
+    // If the clock was set back, the time starts again.
+    this.lastBeatMs = Math.min(this.lastBeatMs, Date.now());
+    if (Date.now() - this.lastBeatMs <= this.timeoutS * 1000) return;
+    this.lastBeatMs = Date.now();
+    this.onTimeout();
   }
 }

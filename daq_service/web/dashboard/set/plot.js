@@ -1,4 +1,4 @@
-// The records of a set over one another: each shot thin, their mean, the baseline's as a ghost, marks and windows.
+// Plot the waveforms of a set: each shot thin, their mean, the baseline as a ghost, marks and windows.
 
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { attach } from "../charts/gestures.js";
@@ -20,7 +20,7 @@ import { drawPulses } from "../pulses.js";
  * @property {Float64Array} micros
  * @property {Trace[]} traces the last one on top
  * @property {import("../pulses.js").Mark[]} marks
- * @property {Record<string, [number, number]>} windows_s by name; of no width: a moment
+ * @property {Record<string, [number, number]>} windows_s by name; zero width: an instant
  *
  * @typedef {object} Span
  * @property {() => import("../charts/gestures.js").Span | null} span in µs
@@ -53,11 +53,11 @@ function drawWindows(u, windows) {
  * @param {HTMLElement} box @param {Overlay} overlay @param {Span} host
  * @param {(index: number) => void} onCursor
  */
-export function plotRecords(box, overlay, host, onCursor) {
+export function plotWaveforms(box, overlay, host, onCursor) {
   const { micros, traces, marks, windows_s } = overlay;
   const axis = axisLook();
-  const whole = () => /** @type {import("../charts/gestures.js").Span} */ ([micros[0], micros[micros.length - 1]]);
-  const span = () => host.span() ?? whole();
+  const full = () => /** @type {import("../charts/gestures.js").Span} */ ([micros[0], micros[micros.length - 1]]);
+  const span = () => host.span() ?? full();
   const plot = new uPlot(
     /** @type {any} */ ({
       width: box.clientWidth,
@@ -91,6 +91,6 @@ export function plotRecords(box, overlay, host, onCursor) {
     /** @type {any} */ ([micros, ...traces.map((trace) => trace.volts)]),
     box,
   );
-  const zoomable = { span, whole, show: host.show, centre: () => (span()[0] + span()[1]) / 2 };
+  const zoomable = { span, full, show: host.show, centre: () => (span()[0] + span()[1]) / 2 };
   return { plot, zoomable, detach: attach(plot.over, zoomable) };
 }

@@ -1,30 +1,30 @@
-// The records of a set as they come in one answer, and their mean.
+// Read the waveforms of a set from one answer, and average them.
 
-import { octets } from "../api.js";
-import { head, record } from "../streams.js";
+import { getBytes } from "../api.js";
+import { readHeader, toWaveform } from "../streams.js";
 
-/** @typedef {import("../streams.js").Record_} Record_ */
+/** @typedef {import("../streams.js").Waveform} Waveform */
 
-/** @param {string} position @param {number} index @returns {Promise<{header: any, records: Record_[]}>} */
-export async function readRecords(position, index) {
-  const buffer = await octets(`/sets/${position}/${index}/waveforms`);
-  const { header, start } = head(buffer);
+/** @param {string} position @param {number} index @returns {Promise<{header: any, waveforms: Waveform[]}>} */
+export async function readWaveforms(position, index) {
+  const buffer = await getBytes(`/sets/${position}/${index}/waveforms`);
+  const { header, start } = readHeader(buffer);
   let at = start;
-  /** @type {Record_[]} */
-  const records = [];
-  for (const its of header.records) {
-    // int32 samples begin where a multiple of four does only if all are: a copy begins anywhere.
-    const bytes = its.n_samples * (its.dtype === "int32" ? 4 : 2);
-    records.push(record(buffer.slice(at, at + bytes), 0, its));
+  /** @type {Waveform[]} */
+  const waveforms = [];
+  for (const waveformHeader of header.records) {
+    // int32 samples may start at a byte that is not a multiple of four: a copy is always aligned.
+    const bytes = waveformHeader.n_samples * (waveformHeader.dtype === "int32" ? 4 : 2);
+    waveforms.push(toWaveform(buffer.slice(at, at + bytes), 0, waveformHeader));
     at += bytes;
   }
-  return { header, records };
+  return { header, waveforms };
 }
 
-/** Mean of records of one length, sample by sample; null: none. @param {Record_[]} records @returns {Float64Array | null} */
-export function mean(records) {
-  if (!records.length) return null;
-  const sum = new Float64Array(records[0].volts.length);
-  for (const { volts } of records) for (let i = 0; i < sum.length; i++) sum[i] += volts[i];
-  return sum.map((value) => value / records.length);
+/** Return the mean of waveforms of one length, sample by sample; null: there are none. @param {Waveform[]} waveforms @returns {Float64Array | null} */
+export function mean(waveforms) {
+  if (!waveforms.length) return null;
+  const sum = new Float64Array(waveforms[0].volts.length);
+  for (const { volts } of waveforms) for (let i = 0; i < sum.length; i++) sum[i] += volts[i];
+  return sum.map((value) => value / waveforms.length);
 }

@@ -1,76 +1,76 @@
-// Asks for the picture that is wanted: once it stays the same for a moment, and again while the service still
-// reads sets or new ones have come.
+// Load the image of the current view: once the view is stable for a moment, and again while the service
+// still reads sets or new ones have arrived.
 
 import { fieldsOf } from "./marks.js";
-import { greatestOf, readPicture } from "./image.js";
+import { largestMagnitude, readImage } from "./image.js";
 
-/** @typedef {import("./image.js").Picture} Picture */
+/** @typedef {import("./image.js").WaterfallImage} WaterfallImage */
 /**
  * @typedef {object} Question
  * @property {string} position
  * @property {string} method
  * @property {Record<string, any>} query of /waterfall
- * @property {string} without why there is nothing to ask for; empty: it is asked
+ * @property {string} missingReason why there is nothing to load; empty: it is loaded
  */
 
 const READ_MS = 120;
 const GO_ON_MS = 400;
 
-export class PictureReading {
+export class ImageLoader {
   /**
-   * @param {() => Question | null} wanted null: nothing is known of the position yet
+   * @param {() => Question | null} currentQuestion null: the position is not known yet
    * @param {(position: string, fields: string[], range: Record<string, number>) => Promise<any>} trend
    * @param {() => void} onRead
    */
-  constructor(wanted, trend, onRead) {
-    this.wanted = wanted;
+  constructor(currentQuestion, trend, onRead) {
+    this.currentQuestion = currentQuestion;
     this.trend = trend;
     this.onRead = onRead;
-    /** @type {Picture | null} */
-    this.picture = null;
-    /** Columns of /trends beside it. @type {Record<string, any[]>} */
+    /** @type {WaterfallImage | null} */
+    this.image = null;
+    /** Columns of /trends for the same hours. @type {Record<string, any[]>} */
     this.columns = {};
-    /** Its greatest magnitude. */
+    /** Its maximum magnitude. */
     this.limit = 0;
     this.trouble = "";
-    /** The question that was answered last. */
-    this.asked = "";
-    /** Sets that the picture before lacked. */
+    /** The question of the last answer. */
+    this.answeredQuestion = "";
+    /** Sets that the previous image lacked. */
     this.pending = Infinity;
-    /** What there is of the position: a picture of less is asked for again. */
+    /** Newest data of the position: an image with less is loaded again. */
     this.newest = "";
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
   }
 
-  /** Whether what is wanted is what is here. */
+  /** Whether the loaded image is the wanted one. */
   get settled() {
-    return this.picture !== null && this.asked === this.question();
+    return this.image !== null && this.answeredQuestion === this.question();
   }
 
   question() {
-    return JSON.stringify([this.wanted(), this.newest]);
+    return JSON.stringify([this.currentQuestion(), this.newest]);
   }
 
-  /** Something may be new. @param {string} newest what there is of the position */
+  /** Check for newer data. @param {string} newest newest data of the position */
   renew(newest) {
     this.newest = newest;
-    if (this.trouble) this.asked = "";
+    if (this.trouble) this.answeredQuestion = "";
   }
 
   schedule(ms = READ_MS) {
     if (this.timer !== undefined) return;
     this.timer = setTimeout(async () => {
-      // Another question, or the first: whatever waits is gone on with.
-      this.pending = this.asked === "" ? (this.picture?.header.pending_sets ?? Infinity) : Infinity;
+      // Another question, or the first: load all pending sets.
+      this.pending = this.answeredQuestion === "" ? (this.image?.header.pending_sets ?? Infinity) : Infinity;
       await this.read();
-      const left = this.picture?.header.pending_sets ?? 0;
+      const pendingSets = this.image?.header.pending_sets ?? 0;
       this.timer = undefined;
-      if (this.wanted() === null) return;
-      if (this.asked !== this.question()) this.schedule();
-      else if (left > 0 && left < this.pending) {
-        // Sets without tiles are read some at a time, as long as they get fewer: the service's memory has an end.
-        this.asked = "";
+      if (this.currentQuestion() === null) return;
+      if (this.answeredQuestion !== this.question()) this.schedule();
+      else if (pendingSets > 0 && pendingSets < this.pending) {
+        // Sets without tiles are read in parts, as long as they get fewer: the service's memory is limited.
+        this.answeredQuestion = "";
         this.schedule(GO_ON_MS);
       }
     }, ms);
@@ -78,19 +78,19 @@ export class PictureReading {
 
   async read() {
     const question = this.question();
-    const wanted = this.wanted();
-    if (question === this.asked || wanted === null) return;
-    const { position, method, query, without } = wanted;
+    const currentQuestion = this.currentQuestion();
+    if (question === this.answeredQuestion || currentQuestion === null) return;
+    const { position, method, query, missingReason: without } = currentQuestion;
     try {
       if (without) throw new Error(without);
-      const [picture, { columns }] = await Promise.all([readPicture(position, query), this.trend(position, fieldsOf(method), { from_h: query.from_h, to_h: query.to_h })]);
-      if (position !== this.wanted()?.position) return;
-      Object.assign(this, { picture, columns, limit: greatestOf(picture), trouble: "" });
+      const [image, { columns }] = await Promise.all([readImage(position, query), this.trend(position, fieldsOf(method), { from_h: query.from_h, to_h: query.to_h })]);
+      if (position !== this.currentQuestion()?.position) return;
+      Object.assign(this, { image: image, columns, limit: largestMagnitude(image), trouble: "" });
     } catch (error) {
       this.trouble = /** @type {Error} */ (error).message;
-      this.picture = null;
+      this.image = null;
     }
-    this.asked = question;
+    this.answeredQuestion = question;
     this.onRead();
   }
 }
