@@ -24,17 +24,36 @@ const AFTER = 8;
 /** @param {string[]} fields of /trends, the assessed one first @param {(columns: any, k: number, evidence: any) => boolean | null} exceeds */
 const trendReader = (fields, exceeds) => async (/** @type {any} */ alarm, /** @type {any} */ range) => {
   const { columns } = await trend(alarm.position, fields, range);
-  return columns.set_index.map((/** @type {number} */ set, /** @type {number} */ k) => ({ set, hour: columns.due_h[k], value: columns[fields[0]][k], quality: columns.quality[k], exceeds: exceeds(columns, k, alarm.proof) }));
+  return columns.set_index.map((/** @type {number} */ set, /** @type {number} */ k) => ({
+    set,
+    hour: columns.due_h[k],
+    value: columns[fields[0]][k],
+    quality: columns.quality[k],
+    exceeds: exceeds(columns, k, alarm.proof),
+  }));
 };
 
 /** @param {any} alarm @param {{from_h: number, to_h: number}} range @returns {Promise<AssessedSet[]>} */
 async function validShots(alarm, { from_h, to_h }) {
   const { items } = await get(`/sets?position=${alarm.position}&from_h=${from_h}&to_h=${to_h}&limit=100`);
   const minimum = alarm.proof.minimum_valid_shots;
-  return items.map((/** @type {any} */ set) => ({ set: set.set_index, hour: set.due_h, value: set.n_valid, quality: null, exceeds: minimum === undefined || set.n_planned === 0 ? null : set.n_valid < minimum }));
+  return items.map((/** @type {any} */ set) => ({
+    set: set.set_index,
+    hour: set.due_h,
+    value: set.n_valid,
+    quality: null,
+    exceeds: minimum === undefined || set.n_planned === 0 ? null : set.n_valid < minimum,
+  }));
 }
 
-const SHOTS = { name: "Valid shots", short: "valid shots", unit: "1", digits: 0, limit: "minimum_valid_shots", read: validShots };
+const SHOTS = {
+  name: "Valid shots",
+  short: "valid shots",
+  unit: "1",
+  digits: 0,
+  limit: "minimum_valid_shots",
+  read: validShots,
+};
 const WALL = ["distance_squared", "outlier"];
 /**
  * What each kind assesses: its name and format, the key of its limit in the evidence, and where it is read.
@@ -42,10 +61,28 @@ const WALL = ["distance_squared", "outlier"];
  * @type {Record<string, {name: string, short: string, unit: string, digits: number, limit: string, log?: boolean, source?: {fields: string[], method: string}, read: (alarm: any, range: any) => Promise<AssessedSet[]>}>}
  */
 const KINDS = {
-  wall_change: { name: "Squared distance D²", short: "D²", unit: "1", digits: 2, limit: "limit", log: true, source: { fields: WALL, method: "solitary_wave" }, read: trendReader(WALL, ({ outlier }, k) => outlier[k]) },
+  wall_change: {
+    name: "Squared distance D²",
+    short: "D²",
+    unit: "1",
+    digits: 2,
+    limit: "limit",
+    log: true,
+    source: { fields: WALL, method: "solitary_wave" },
+    read: trendReader(WALL, ({ outlier }, k) => outlier[k]),
+  },
   thickness: {
-    ...{ name: "Wall thickness", short: "thickness", unit: "m", digits: 3, limit: "limit_m", source: { fields: ["thickness_m"], method: "pulse_echo" } },
-    read: trendReader(["thickness_m"], ({ thickness_m: wall, quality }, k, { limit_m }) => (wall[k] === null || quality[k] === "bad" ? null : wall[k] < limit_m)),
+    ...{
+      name: "Wall thickness",
+      short: "thickness",
+      unit: "m",
+      digits: 3,
+      limit: "limit_m",
+      source: { fields: ["thickness_m"], method: "pulse_echo" },
+    },
+    read: trendReader(["thickness_m"], ({ thickness_m: wall, quality }, k, { limit_m }) =>
+      wall[k] === null || quality[k] === "bad" ? null : wall[k] < limit_m,
+    ),
   },
   no_data: SHOTS,
   retired: SHOTS,
@@ -54,7 +91,13 @@ const KINDS = {
 KINDS.transducer_change = KINDS.wall_change;
 
 /** An alarm of a wall that the control chart raised. @type {typeof KINDS[string]} */
-const BY_CHART = { ...KINDS.wall_change, name: "Chart", short: "chart", source: { fields: ["chart"], method: "solitary_wave" }, read: trendReader(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)) };
+const BY_CHART = {
+  ...KINDS.wall_change,
+  name: "Chart",
+  short: "chart",
+  source: { fields: ["chart"], method: "solitary_wave" },
+  read: trendReader(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)),
+};
 
 /** Return a link to a set, which can be copied and sent like any other view. @param {string} position @param {number} set @param {string} text @param {Record<string, string>} attributes @param {Host["open"]} open */
 export function setLink(position, set, text, attributes, open) {
@@ -82,8 +125,23 @@ export class AlarmEvidence {
     this.newest = -Infinity;
     /** Hours of the chart. @type {import("./charts/gestures.js").Span} */
     this.range = [0, Infinity];
-    const stored = el("details", {}, el("summary", { text: "As stored", "data-focus": `stored-${alarm.id}` }), this.raw);
-    this.root = /** @type {HTMLDetailsElement} */ (el("details", { class: "evidence-box" }, el("summary", { text: "Proof", "data-focus": `evidence-${alarm.id}` }), this.sentences, this.trouble, this.sets, stored));
+    const stored = el(
+      "details",
+      {},
+      el("summary", { text: "As stored", "data-focus": `stored-${alarm.id}` }),
+      this.raw,
+    );
+    this.root = /** @type {HTMLDetailsElement} */ (
+      el(
+        "details",
+        { class: "evidence-box" },
+        el("summary", { text: "Proof", "data-focus": `evidence-${alarm.id}` }),
+        this.sentences,
+        this.trouble,
+        this.sets,
+        stored,
+      )
+    );
     this.root.addEventListener("toggle", () => void (this.root.open && this.read()));
     this.update(alarm);
   }
@@ -113,7 +171,10 @@ export class AlarmEvidence {
     const at = found < 0 ? hours.length - 1 : Math.max(found, 1);
     const interval = hours.length > 1 ? (hours[at] - hours[at - 1]) / (sets[at] - sets[at - 1]) : 1;
     try {
-      const [from_h, to_h] = (this.range = [Math.max(0, alarm.raised_h - (BEFORE + 0.5) * interval), alarm.raised_h + (AFTER + 0.5) * interval]);
+      const [from_h, to_h] = (this.range = [
+        Math.max(0, alarm.raised_h - (BEFORE + 0.5) * interval),
+        alarm.raised_h + (AFTER + 0.5) * interval,
+      ]);
       this.newest = hours[hours.length - 1];
       this.show(kind, await kind.read(alarm, { from_h, to_h }), interval);
       setText(this.trouble, "");
@@ -129,23 +190,60 @@ export class AlarmEvidence {
     const inUnit = (/** @type {number | null} */ value) => (value === null ? null : value * factor);
     const limit = inUnit(alarm.proof[kind.limit] ?? null);
     const lastSet = alarm.raised_set_index ?? Infinity;
-    const evaluated = assessed.filter((one) => one.exceeds !== null && one.set <= lastSet).slice(-(alarm.proof.rule?.n ?? alarm.proof.poor_sets_running ?? 1));
+    const evaluated = assessed
+      .filter((one) => one.exceeds !== null && one.set <= lastSet)
+      .slice(-(alarm.proof.rule?.n ?? alarm.proof.poor_sets_running ?? 1));
     const exceeds = evaluated.filter((one) => one.exceeds).length;
     // A kind without a limit (hole) is only drawn.
-    const subtitle = !evaluated.length ? `Position ${alarm.position}` : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} judged sets beyond the limit when the alarm was raised`;
+    const subtitle = !evaluated.length
+      ? `Position ${alarm.position}`
+      : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} judged sets beyond the limit when the alarm was raised`;
     const x = assessed.map((one) => one.hour);
     const sets = assessed.map((one) => one.set);
     this.chart ??= this.makeChart(kind);
     this.chart.update({
       x,
       lines: [
-        { key: "assessed", label: kind.short, short: kind.short, color: "--data", points: true, y: assessed.map((one) => inUnit(one.value)), position: alarm.position, sets, firsts: sets, step: 1, quality: assessed.map((one) => one.quality), outlier: assessed.map((one) => one.exceeds) },
-        ...(limit === null ? [] : [/** @type {import("./charts/series.js").Line} */ ({ key: "limit", label: "limit", short: "limit", color: "--limit", points: false, y: x.map(() => limit) })]),
+        {
+          key: "assessed",
+          label: kind.short,
+          short: kind.short,
+          color: "--data",
+          points: true,
+          y: assessed.map((one) => inUnit(one.value)),
+          position: alarm.position,
+          sets,
+          firsts: sets,
+          step: 1,
+          quality: assessed.map((one) => one.quality),
+          outlier: assessed.map((one) => one.exceeds),
+        },
+        ...(limit === null
+          ? []
+          : [
+              /** @type {import("./charts/series.js").Line} */ ({
+                key: "limit",
+                label: "limit",
+                short: "limit",
+                color: "--limit",
+                points: false,
+                y: x.map(() => limit),
+              }),
+            ]),
       ],
       name: unit ? `${kind.name} (${unit})` : kind.name,
       unit,
       digits: kind.digits,
-      ranges: evaluated.length ? [{ from_h: evaluated[0].hour - interval / 2, to_h: evaluated[evaluated.length - 1].hour + interval / 2, label: `last ${evaluated.length} judged`, tone: "warn" }] : [],
+      ranges: evaluated.length
+        ? [
+            {
+              from_h: evaluated[0].hour - interval / 2,
+              to_h: evaluated[evaluated.length - 1].hour + interval / 2,
+              label: `last ${evaluated.length} judged`,
+              tone: "warn",
+            },
+          ]
+        : [],
       alarms: [alarm.raised_h],
       opened: null,
       subtitle,
@@ -156,7 +254,11 @@ export class AlarmEvidence {
       ...evaluated.map((one) => {
         const value = `${kind.short} ${fixed(inUnit(one.value), kind.digits)}${unit ? ` ${unit}` : ""}`;
         const text = `Set ${one.set}, hour ${hour(one.hour)}: ${value}${one.exceeds ? ", beyond the limit" : ""}`;
-        return el("li", {}, setLink(alarm.position, one.set, text, { "data-focus": `assessed-${alarm.id}-${one.set}` }, host.open));
+        return el(
+          "li",
+          {},
+          setLink(alarm.position, one.set, text, { "data-focus": `assessed-${alarm.id}-${one.set}` }, host.open),
+        );
       }),
     );
   }
@@ -168,7 +270,11 @@ export class AlarmEvidence {
     /** @type {import("./charts/gestures.js").Span | null} */
     let zoom = null;
     chart.configure(
-      { title: `Sets around the alarm at ${this.alarm.position}, hour ${hour(this.alarm.raised_h)}: ${kind.short}`, log: kind.log, empty: "None of these sets is stored" },
+      {
+        title: `Sets around the alarm at ${this.alarm.position}, hour ${hour(this.alarm.raised_h)}: ${kind.short}`,
+        log: kind.log,
+        empty: "None of these sets is stored",
+      },
       {
         ...this.host,
         span: () => zoom ?? this.range,

@@ -55,7 +55,13 @@ export class SolimonAlarms extends HTMLElement {
   connectedCallback() {
     this.setAttribute("role", "region");
     this.setAttribute("aria-labelledby", "alarms-title");
-    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)), this.filter.root, this.none, this.list, this.shelf.dialog);
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)),
+      this.filter.root,
+      this.none,
+      this.list,
+      this.shelf.dialog,
+    );
   }
 
   /** @param {any[]} items */
@@ -70,7 +76,12 @@ export class SolimonAlarms extends HTMLElement {
     );
     const waiting = items.filter(isWaiting).length;
     const suppressedCount = items.filter((item) => item.suppressed && item.state !== "normal").length;
-    setText(this.count, items.length ? `${waiting} waiting for acknowledgement, ${suppressedCount ? `${suppressedCount} shelved or out of service, ` : ""}${items.length} in this test` : "None so far");
+    setText(
+      this.count,
+      items.length
+        ? `${waiting} waiting for acknowledgement, ${suppressedCount ? `${suppressedCount} shelved or out of service, ` : ""}${items.length} in this test`
+        : "None so far",
+    );
     this.filter.offer(items);
     this.filter.root.hidden = items.length === 0;
     this.dataset.count = String(items.length);
@@ -103,24 +114,71 @@ export class SolimonAlarms extends HTMLElement {
     };
     if (waiting) {
       const disabled = status !== undefined;
-      offer("ack", "acknowledge_alarm", status ?? "Acknowledge", () => this.acknowledge(alarm.id, ""), { class: "button small", disabled, "aria-label": `Acknowledge: ${alarm.message}` });
-      offer("note", "acknowledge_alarm", "With a note", () => this.acknowledgeWithNote(alarm), { disabled, "aria-label": `Acknowledge with a note: ${alarm.message}` });
+      offer("ack", "acknowledge_alarm", status ?? "Acknowledge", () => this.acknowledge(alarm.id, ""), {
+        class: "button small",
+        disabled,
+        "aria-label": `Acknowledge: ${alarm.message}`,
+      });
+      offer("note", "acknowledge_alarm", "With a note", () => this.acknowledgeWithNote(alarm), {
+        disabled,
+        "aria-label": `Acknowledge with a note: ${alarm.message}`,
+      });
     }
     const restore = (/** @type {HTMLButtonElement} */ pressed) => this.restoreAlarm(alarm, pressed);
-    if (alarm.suppressed === "shelved") offer("restore", "unshelve_alarm", "Unshelve", restore, { class: "button small" });
-    else if (alarm.suppressed) offer("restore", "return_to_service", "Return to service", restore, { class: "button small" });
-    else if (alarm.state !== "normal") offer("shelve", "shelve_alarm", "Shelve", () => this.shelf.ask(alarm), { "aria-label": `Shelve: ${alarm.message}` });
+    if (alarm.suppressed === "shelved")
+      offer("restore", "unshelve_alarm", "Unshelve", restore, { class: "button small" });
+    else if (alarm.suppressed)
+      offer("restore", "return_to_service", "Return to service", restore, { class: "button small" });
+    else if (alarm.state !== "normal")
+      offer("shelve", "shelve_alarm", "Shelve", () => this.shelf.ask(alarm), {
+        "aria-label": `Shelve: ${alarm.message}`,
+      });
     foot.append(this.history(alarm.id), this.guidanceBox(alarm));
-    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) offer("trust", "trust_clock", this.trustClockStatus ?? "The clock is right", () => this.trustClock(), { class: "button small", disabled: this.trustClockStatus !== undefined });
+    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged"))
+      offer("trust", "trust_clock", this.trustClockStatus ?? "The clock is right", () => this.trustClock(), {
+        class: "button small",
+        disabled: this.trustClockStatus !== undefined,
+      });
     if (alarm.position !== null && alarm.raised_set_index !== null) {
-      foot.append(setLink(alarm.position, alarm.raised_set_index, "Open set", { "data-focus": `set-${alarm.id}`, "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` }, this.host.open));
+      foot.append(
+        setLink(
+          alarm.position,
+          alarm.raised_set_index,
+          "Open set",
+          {
+            "data-focus": `set-${alarm.id}`,
+            "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}`,
+          },
+          this.host.open,
+        ),
+      );
     }
     const confirmationSet = alarm.proof?.confirmation?.set_index;
-    if (confirmationSet != null) foot.append(setLink(alarm.position, confirmationSet, "Open confirmation set", { "data-focus": `confirmation-${alarm.id}`, "aria-label": `Open ${setName(confirmationSet)} of position ${alarm.position}` }, this.host.open));
-    if (CONFIRMABLE.has(alarm.kind) && alarm.state !== "normal") offer("confirm", "confirm", "Strike again now", (pressed) => this.strikeConfirmation(alarm, pressed), { "aria-label": `Strike a confirmation set at ${alarm.position} now` });
+    if (confirmationSet != null)
+      foot.append(
+        setLink(
+          alarm.position,
+          confirmationSet,
+          "Open confirmation set",
+          {
+            "data-focus": `confirmation-${alarm.id}`,
+            "aria-label": `Open ${setName(confirmationSet)} of position ${alarm.position}`,
+          },
+          this.host.open,
+        ),
+      );
+    if (CONFIRMABLE.has(alarm.kind) && alarm.state !== "normal")
+      offer("confirm", "confirm", "Strike again now", (pressed) => this.strikeConfirmation(alarm, pressed), {
+        "aria-label": `Strike a confirmation set at ${alarm.position} now`,
+      });
     const at = `hour ${hour(alarm.raised_h)}`;
-    const show = () => this.dispatchEvent(new CustomEvent("show-hour", { detail: { position: alarm.position, hour: alarm.raised_h } }));
-    const hourButton = button(at, show, { class: "link", "data-focus": `hour-${alarm.id}`, "aria-label": `Show ${at} of ${alarm.position ?? "the test"} on the charts and the waterfall` });
+    const show = () =>
+      this.dispatchEvent(new CustomEvent("show-hour", { detail: { position: alarm.position, hour: alarm.raised_h } }));
+    const hourButton = button(at, show, {
+      class: "link",
+      "data-focus": `hour-${alarm.id}`,
+      "aria-label": `Show ${at} of ${alarm.position ?? "the test"} on the charts and the waterfall`,
+    });
     const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
     const item = el(
       "li",
@@ -133,8 +191,24 @@ export class SolimonAlarms extends HTMLElement {
         el("span", { class: "quiet", text: utc(alarm.raised_utc) }),
       ),
       el("p", { class: "alarm-message", text: alarm.message }),
-      el("p", { class: "quiet small", text: `${alarm.family} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${who}` }),
-      ...(alarm.suppressed ? [el("p", { class: "small shelved" }, chip({ label: alarm.suppressed === "shelved" ? "Shelved" : "Out of service", icon: "pause", tone: "info" }), ` ${suppressedText(alarm)}`)] : []),
+      el("p", {
+        class: "quiet small",
+        text: `${alarm.family} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${who}`,
+      }),
+      ...(alarm.suppressed
+        ? [
+            el(
+              "p",
+              { class: "small shelved" },
+              chip({
+                label: alarm.suppressed === "shelved" ? "Shelved" : "Out of service",
+                icon: "pause",
+                tone: "info",
+              }),
+              ` ${suppressedText(alarm)}`,
+            ),
+          ]
+        : []),
       foot,
     );
     item.dataset.alarm = String(alarm.id);
@@ -155,14 +229,21 @@ export class SolimonAlarms extends HTMLElement {
   /** @param {any} alarm */
   guidanceBox(alarm) {
     const text = el("div", { class: "quiet" });
-    const box = /** @type {HTMLDetailsElement} */ (el("details", {}, el("summary", { text: "What now", "data-focus": `now-${alarm.id}` }), text));
+    const box = /** @type {HTMLDetailsElement} */ (
+      el("details", {}, el("summary", { text: "What now", "data-focus": `now-${alarm.id}` }), text)
+    );
     const read = async () => {
       try {
         const guidance = (this.guidance ??= /** @type {any[]} */ ((await get("/guidance")).items));
         const found = guidance.find((/** @type {any} */ one) => one.kind === alarm.kind);
         const plain = (/** @type {string} */ markdown) => markdown.replace(/[`*]/g, "");
         if (!found) setText(text, "Nothing is written of this kind of alarm.");
-        else text.replaceChildren(el("p", { text: `It says: ${plain(found.says)}. It does not say ${plain(found.does_not_say)}.` }), el("ol", {}, ...found.look_first.map((/** @type {string} */ step) => el("li", { text: plain(step) }))), el("p", { text: `Decides: ${plain(found.call)}.` }));
+        else
+          text.replaceChildren(
+            el("p", { text: `It says: ${plain(found.says)}. It does not say ${plain(found.does_not_say)}.` }),
+            el("ol", {}, ...found.look_first.map((/** @type {string} */ step) => el("li", { text: plain(step) }))),
+            el("p", { text: `Decides: ${plain(found.call)}.` }),
+          );
       } catch (error) {
         setText(text, /** @type {Error} */ (error).message);
       }
@@ -182,11 +263,26 @@ export class SolimonAlarms extends HTMLElement {
   /** List all transitions, read when the list is opened and after each change. @param {number} id */
   history(id) {
     const lines = this.histories.get(id) ?? el("ul", { class: "quiet" });
-    const box = /** @type {HTMLDetailsElement} */ (el("details", {}, el("summary", { text: "History", "data-focus": `history-${id}` }), lines));
+    const box = /** @type {HTMLDetailsElement} */ (
+      el("details", {}, el("summary", { text: "History", "data-focus": `history-${id}` }), lines)
+    );
     const read = async () => {
       try {
         const { items } = await get(`/alarms/${id}/history`);
-        lines.replaceChildren(...items.map((/** @type {any} */ one) => el("li", { text: [utc(one.utc), one.kind.replace("alarm_", "").replaceAll("_", " "), one.who ? `by ${one.who}` : "", one.why].filter(Boolean).join(" · ") })));
+        lines.replaceChildren(
+          ...items.map((/** @type {any} */ one) =>
+            el("li", {
+              text: [
+                utc(one.utc),
+                one.kind.replace("alarm_", "").replaceAll("_", " "),
+                one.who ? `by ${one.who}` : "",
+                one.why,
+              ]
+                .filter(Boolean)
+                .join(" · "),
+            }),
+          ),
+        );
       } catch (error) {
         setText(lines, /** @type {Error} */ (error).message);
       }
@@ -216,7 +312,9 @@ export class SolimonAlarms extends HTMLElement {
 
   /** @param {any} alarm @param {HTMLButtonElement} button */
   async strikeConfirmation(alarm, button) {
-    await sendByButton(button, "confirm", { position: alarm.position }, (detail) => this.dispatchEvent(new CustomEvent("trouble", { detail })));
+    await sendByButton(button, "confirm", { position: alarm.position }, (detail) =>
+      this.dispatchEvent(new CustomEvent("trouble", { detail })),
+    );
   }
 
   async trustClock() {
@@ -237,9 +335,14 @@ export class SolimonAlarms extends HTMLElement {
   async acknowledgeWithNote(alarm) {
     const answers = await askConfirmation({
       title: "Acknowledge an alarm",
-      paragraphs: [`${alarm.position ?? "Service"}: ${alarm.message}.`, "The note stands beside the alarm and in its history."],
+      paragraphs: [
+        `${alarm.position ?? "Service"}: ${alarm.message}.`,
+        "The note stands beside the alarm and in its history.",
+      ],
       submitLabel: "Acknowledge",
-      fields: [{ name: "note", label: "Note", first: true, input: { required: true, maxlength: "2000", pattern: ".*\\S.*" } }],
+      fields: [
+        { name: "note", label: "Note", first: true, input: { required: true, maxlength: "2000", pattern: ".*\\S.*" } },
+      ],
     });
     if (answers) await this.acknowledge(alarm.id, answers.note);
   }

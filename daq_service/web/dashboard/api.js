@@ -41,7 +41,12 @@ async function fetchWithDeadline(address, request, read) {
 }
 
 /** Answers embedded in the page, by address: the first request takes them. @type {Map<string, any>} */
-const embedded = new Map(Object.entries(JSON.parse(document.getElementById("answers")?.textContent ?? "{}")).map(([path, embeddedValue]) => [BASE + path, embeddedValue]));
+const embedded = new Map(
+  Object.entries(JSON.parse(document.getElementById("answers")?.textContent ?? "{}")).map(([path, embeddedValue]) => [
+    BASE + path,
+    embeddedValue,
+  ]),
+);
 
 /** Return an embedded answer that no request has taken yet. @param {string} path of the test */
 export function embeddedAnswer(path) {
@@ -62,7 +67,9 @@ export async function get(path, base = BASE) {
 
 /** @param {string} path below /api/v1, of binary content @returns {Promise<ArrayBuffer>} */
 export async function getBytes(path) {
-  return fetchWithDeadline(`${BASE}/api/v1${path}`, {}, async (response) => (response.ok ? response.arrayBuffer() : parseResponse(response)));
+  return fetchWithDeadline(`${BASE}/api/v1${path}`, {}, async (response) =>
+    response.ok ? response.arrayBuffer() : parseResponse(response),
+  );
 }
 
 /**
@@ -73,7 +80,8 @@ export async function getBytes(path) {
  */
 export async function trend(position, fields, range = {}, base = BASE) {
   const query = new URLSearchParams();
-  for (const [name, value] of Object.entries({ fields, points: POINTS, ...range })) if (value !== undefined) query.set(name, String(value));
+  for (const [name, value] of Object.entries({ fields, points: POINTS, ...range }))
+    if (value !== undefined) query.set(name, String(value));
   return get(`/trends/${position}?${query}`, base);
 }
 
@@ -85,7 +93,11 @@ export async function hasData() {
 /** @param {string} path @param {object} body @returns {Promise<any>} */
 export async function post(path, body) {
   const headers = { "Content-Type": "application/json" };
-  return fetchWithDeadline(`${BASE}/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, parseResponse);
+  return fetchWithDeadline(
+    `${BASE}/api/v1${path}`,
+    { method: "POST", headers, body: JSON.stringify(body) },
+    parseResponse,
+  );
 }
 
 /** @param {string} path @returns {Promise<any>} */
@@ -98,7 +110,9 @@ export async function getAllPages(path) {
   const items = [];
   let cursor = null;
   do {
-    const page = await get(cursor ? `${path}${path.includes("?") ? "&" : "?"}cursor=${encodeURIComponent(cursor)}` : path);
+    const page = await get(
+      cursor ? `${path}${path.includes("?") ? "&" : "?"}cursor=${encodeURIComponent(cursor)}` : path,
+    );
     items.push(...page.items);
     cursor = page.next_cursor;
   } while (cursor);

@@ -8,6 +8,7 @@ export function limitOf(assessment) {
 
 /** Return the diagnosis of a change with its probability; an undetermined one has none. @param {any} assessment @returns {string} */
 export function diagnosisText(assessment) {
-  const probability = assessment.cause === "cannot tell" ? "" : ` (${Math.round(100 * assessment.cause_probability)} %)`;
+  const probability =
+    assessment.cause === "cannot tell" ? "" : ` (${Math.round(100 * assessment.cause_probability)} %)`;
   return `${assessment.cause}${probability}`;
 }

@@ -36,7 +36,11 @@ function approvalText(row) {
 const unusable = (row) => row.state !== "collecting" && row.state !== "retired" && row.limit_reason !== null;
 
 /** @param {any} quality of a baseline */
-function falseAlarmText({ false_alarms_per_sensor_year, rate_guaranteed: rateVerified, why_not_guaranteed: unverifiedReason }) {
+function falseAlarmText({
+  false_alarms_per_sensor_year,
+  rate_guaranteed: rateVerified,
+  why_not_guaranteed: unverifiedReason,
+}) {
   return `${significant(false_alarms_per_sensor_year)} a year by the chart, ${rateVerified ? "promised" : `not promised: ${unverifiedReason}`}`;
 }
 
@@ -44,15 +48,31 @@ function falseAlarmText({ false_alarms_per_sensor_year, rate_guaranteed: rateVer
 function facts(row) {
   const { readiness: quality, temperature_c } = row;
   const range = `${row.first_set_index} to ${row.last_set_index}`;
-  if (row.state === "collecting") return [["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} so far (${range})`], ["Complete", `with the set of hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`]];
-  if (quality === null) return [["Sets", `${row.n_sets}, of ${range}`], ["Limit", row.limit_reason ?? NONE]];
-  const anomalies = quality.named.map((/** @type {any} */ one) => ANOMALY_TEXTS[one.kind]?.(one.set_indices) ?? one.kind);
+  if (row.state === "collecting")
+    return [
+      ["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} so far (${range})`],
+      ["Complete", `with the set of hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`],
+    ];
+  if (quality === null)
+    return [
+      ["Sets", `${row.n_sets}, of ${range}`],
+      ["Limit", row.limit_reason ?? NONE],
+    ];
+  const anomalies = quality.named.map(
+    (/** @type {any} */ one) => ANOMALY_TEXTS[one.kind]?.(one.set_indices) ?? one.kind,
+  );
   return [
     ["Sets", `${quality.n} of ${range}, ${quality.n_left_out} left out`],
-    ["Worth", `${fixed(quality.n_eff, 0)} independent sets (correlation from set to set ${fixed(quality.phi_pooled, 2)})`],
+    [
+      "Worth",
+      `${fixed(quality.n_eff, 0)} independent sets (correlation from set to set ${fixed(quality.phi_pooled, 2)})`,
+    ],
     ["Tails", `${fixed(quality.tail, 2)} times those of normal sets`],
     ["Stands out", anomalies.join("; ") || "nothing"],
-    ["Temperature", temperature_c === null ? "not measured" : `${fixed(temperature_c[0], 1)} to ${fixed(temperature_c[1], 1)} °C`],
+    [
+      "Temperature",
+      temperature_c === null ? "not measured" : `${fixed(temperature_c[0], 1)} to ${fixed(temperature_c[1], 1)} °C`,
+    ],
     ["False alarms", falseAlarmText(quality)],
     ...(quality.advice ? [/** @type {[string, string]} */ (["Size", quality.advice])] : []),
   ];
@@ -82,12 +102,16 @@ export class BaselineCard {
     this.shown = shown + acceptsCommands;
     this.head.textContent = `Baseline of ${position}`;
     this.state.replaceChildren(chip(STATES[unusable(row) ? "unusable" : row.state]));
-    const readouts = facts(row).map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })));
+    const readouts = facts(row).map(([term, value]) =>
+      el("div", {}, el("dt", { text: term }), el("dd", { text: value })),
+    );
     const earlier = rows.slice(0, -1).map((one) => el("li", { text: `${one.name}, ${approvalText(one)}` }));
     this.body.replaceChildren(
       el("p", { class: "quiet", text: [row.name, approvalText(row)].filter(Boolean).join(", ") }),
       el("dl", { class: "readouts long" }, ...readouts),
-      ...(earlier.length ? [el("p", { class: "quiet small", text: "Before it:" }), el("ul", { class: "small" }, ...earlier)] : []),
+      ...(earlier.length
+        ? [el("p", { class: "quiet small", text: "Before it:" }), el("ul", { class: "small" }, ...earlier)]
+        : []),
     );
     // A new set must not replace a button that a finger may be about to press.
     const offered = JSON.stringify([row.name, row.state, acceptsCommands]);
@@ -100,7 +124,9 @@ export class BaselineCard {
     const { position } = this;
     const approve = {
       title: `Sign the baseline of ${position}`,
-      paragraphs: [`You say that the wall and the transducer at ${position} were healthy in sets ${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are already.`],
+      paragraphs: [
+        `You say that the wall and the transducer at ${position} were healthy in sets ${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are already.`,
+      ],
       submitLabel: `Sign ${row.name}`,
       fields: [{ ...NOTE, label: "Note (everybody sees it)" }],
     };
@@ -114,14 +140,18 @@ export class BaselineCard {
       fields: [{ ...NOTE, input: { required: true } }],
     };
     return [
-      ...(row.state === "proposed" && !unusable(row) && isAllowed("approve_baseline") ? [this.button("Sign it", "approve_baseline", approve)] : []),
+      ...(row.state === "proposed" && !unusable(row) && isAllowed("approve_baseline")
+        ? [this.button("Sign it", "approve_baseline", approve)]
+        : []),
       ...(isAllowed("renew_baseline") ? [this.button("Begin another one", "renew_baseline", renew)] : []),
     ];
   }
 
   /** @param {string} label @param {string} kind @param {import("./control/confirm.js").Question} question */
   button(label, kind, question) {
-    const commandButton = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", text: label }));
+    const commandButton = /** @type {HTMLButtonElement} */ (
+      el("button", { class: "button ghost", type: "button", text: label })
+    );
     commandButton.addEventListener("click", async () => {
       const { position } = this;
       const answers = await askConfirmation(question);

@@ -14,10 +14,22 @@ const MAX_SETS = 2000;
 
 /** Columns that the charts always need, by method. @type {Record<string, string[]>} */
 export const FIELDS = {
-  solitary_wave: ["tof_pp_s", "amplitude_ratio", "distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "chart"],
+  solitary_wave: [
+    "tof_pp_s",
+    "amplitude_ratio",
+    "distance_squared",
+    "limit_f",
+    "limit_paper",
+    "outlier",
+    "outlier_paper",
+    "chart",
+  ],
   pulse_echo: ["thickness_m", "travel_time_s"],
 };
-const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_pp_s", "amplitude_ratio"], pulse_echo: ["thickness_m"] });
+const FITTED = /** @type {Record<string, string[]>} */ ({
+  solitary_wave: ["tof_pp_s", "amplitude_ratio"],
+  pulse_echo: ["thickness_m"],
+});
 
 /**
  * @typedef {object} Listener
@@ -62,7 +74,16 @@ export class DataLoader {
     this.refreshes = 0;
     /** Time of the last complete update, by `performance.now()`. */
     this.readAt = 0;
-    this.dirty = { positions: new Set(), complete: new Set(), fits: new Set(), gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
+    this.dirty = {
+      positions: new Set(),
+      complete: new Set(),
+      fits: new Set(),
+      gaps: new Set(),
+      alarms: false,
+      notes: false,
+      info: false,
+      environment: false,
+    };
     this.refreshing = false;
     this.refreshAgain = false;
     this.fitsReadAt = -Infinity;
@@ -81,7 +102,9 @@ export class DataLoader {
   /** Return whether a position has a reference: for a probe, its first measurement. @param {string} position */
   hasBaseline(position) {
     const probe = this.positionInfo(position)?.method === "pulse_echo";
-    const values = probe ? this.trends.get(position)?.columns.travel_time_s : this.baseline(position)?.columns.in_baseline;
+    const values = probe
+      ? this.trends.get(position)?.columns.travel_time_s
+      : this.baseline(position)?.columns.in_baseline;
     return Boolean(values?.some((/** @type {number | boolean | null} */ value) => value !== null && value !== false));
   }
 
@@ -89,7 +112,9 @@ export class DataLoader {
   async start(openEvents) {
     try {
       if (!(await hasData())) {
-        this.listener.onWaiting("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
+        this.listener.onWaiting(
+          "Waiting for the first record. This page fills itself as soon as the recorder has stored something.",
+        );
         // From the first event on: the recorder may have asked an operator to strike the first shot.
         openEvents(0);
         setTimeout(() => this.start(openEvents), WAITING_MS);
@@ -143,8 +168,10 @@ export class DataLoader {
   setSpan(span, positions) {
     if (String([span, positions]) === String([this.span, this.drawn])) return;
     Object.assign(this, { span, drawn: positions });
-    for (const position of this.details.keys()) if (span === null || !positions.includes(position)) this.details.delete(position);
-    if (span !== null && !this.detailTimer && this.coarse().length) this.detailTimer = setTimeout(() => this.readDetails(), REFRESH_MS);
+    for (const position of this.details.keys())
+      if (span === null || !positions.includes(position)) this.details.delete(position);
+    if (span !== null && !this.detailTimer && this.coarse().length)
+      this.detailTimer = setTimeout(() => this.readDetails(), REFRESH_MS);
   }
 
   /** Return the drawn positions whose complete test comes in bins. */
@@ -184,11 +211,18 @@ export class DataLoader {
     if (event.position) {
       const last = this.trends.get(event.position)?.columns.set_index.at(-1) ?? -1;
       // A frozen baseline or a correction changes sets that are drawn already.
-      if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) this.reload(event.position);
-      if (event.kind === "set_missed" || event.kind === "set_retired" || event.set_index >= PLANNED_SETS) dirty.gaps.add(event.position);
+      if (
+        topic === "service" ||
+        (topic === "verdicts" && (event.set_index ?? last) < last) ||
+        String(event.kind).includes("baseline")
+      )
+        this.reload(event.position);
+      if (event.kind === "set_missed" || event.kind === "set_retired" || event.set_index >= PLANNED_SETS)
+        dirty.gaps.add(event.position);
       dirty.positions.add(event.position);
     } else if (!["alarms", "service", "environment"].includes(topic)) this.reloadAll();
-    else if (topic !== "environment" && event.set_index !== null) for (const positionInfo of this.info.positions) dirty.positions.add(positionInfo.position);
+    else if (topic !== "environment" && event.set_index !== null)
+      for (const positionInfo of this.info.positions) dirty.positions.add(positionInfo.position);
     this.schedule();
   }
 
@@ -219,7 +253,16 @@ export class DataLoader {
     const changed = new Set([...dirty.positions, ...complete]);
     const { alarms, notes, info, environment } = dirty;
     const gaps = [...dirty.gaps];
-    this.dirty = { positions: new Set(), complete: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
+    this.dirty = {
+      positions: new Set(),
+      complete: new Set(),
+      fits: dirty.fits,
+      gaps: new Set(),
+      alarms: false,
+      notes: false,
+      info: false,
+      environment: false,
+    };
     const { onRead } = this.listener;
     // The tiles come first: a reader sees them first.
     const readTransducers = async () => {
@@ -227,7 +270,8 @@ export class DataLoader {
       onRead({ transducers });
     };
     const requests = [readTransducers()];
-    const trendsOf = (/** @type {string[]} */ positions) => positions.map((position) => this.readTrend(position, complete.has(position)));
+    const trendsOf = (/** @type {string[]} */ positions) =>
+      positions.map((position) => this.readTrend(position, complete.has(position)));
     const initial = [...changed].filter((position) => this.drawn.includes(position) && !this.trends.has(position));
     if (initial.length) {
       for (const position of initial) this.dirty.fits.add(position);
@@ -237,14 +281,22 @@ export class DataLoader {
     }
     requests.push(...trendsOf([...changed].filter((position) => !initial.includes(position))));
     requests.push(...gaps.map((position) => this.readGaps(position)));
-    if (alarms) requests.push(getAllPages("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
-    if (notes) requests.push(getAllPages("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
+    if (alarms)
+      requests.push(getAllPages("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
+    if (notes)
+      requests.push(
+        getAllPages("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })),
+      );
     if (info) requests.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
     if (environment) requests.push(this.readEnvironment());
     await Promise.all(requests);
     for (const position of changed) this.dirty.fits.add(position);
     if (performance.now() - this.fitsReadAt > FIT_REFRESH_MS) await this.readFits();
-    else setTimeout(() => this.dirty.fits.size && this.readFits().then(this.listener.onColumns, this.listener.onTrouble), FIT_REFRESH_MS);
+    else
+      setTimeout(
+        () => this.dirty.fits.size && this.readFits().then(this.listener.onColumns, this.listener.onTrouble),
+        FIT_REFRESH_MS,
+      );
     this.refreshes += 1;
     this.readAt = performance.now();
     this.listener.onColumns();
@@ -263,7 +315,11 @@ export class DataLoader {
     const before = known && known.bin_sets === 1 && known.columns.due_h.length < MAX_SETS ? known : undefined;
     const from_h = before?.columns.due_h.at(-1);
     const baselines = this.baselines.get(position);
-    if (complete || !baselines || (from_h ?? 0) <= (baselines.at(-1)?.row.to_h ?? 0)) this.baselines.set(position, await readBaselines(position, positionInfo.method, this.info.schedule.baseline_h, complete ? [] : baselines));
+    if (complete || !baselines || (from_h ?? 0) <= (baselines.at(-1)?.row.to_h ?? 0))
+      this.baselines.set(
+        position,
+        await readBaselines(position, positionInfo.method, this.info.schedule.baseline_h, complete ? [] : baselines),
+      );
     const fields = this.fieldsOf(position);
     const answer = await trend(position, fields, { from_h });
     if (answer.bin_sets > 1 && this.drawn.includes(position)) await this.readDetail(position);
@@ -274,7 +330,8 @@ export class DataLoader {
     // Another update may have arrived first: keep each set once.
     const last = before.columns.set_index.at(-1) ?? -1;
     const start = answer.columns.set_index.findIndex((/** @type {number} */ index) => index > last);
-    if (start >= 0) for (const key of Object.keys(before.columns)) before.columns[key].push(...answer.columns[key].slice(start));
+    if (start >= 0)
+      for (const key of Object.keys(before.columns)) before.columns[key].push(...answer.columns[key].slice(start));
     before.as_of = answer.as_of;
   }
 
@@ -299,7 +356,10 @@ export class DataLoader {
     const which = ["state=missed", "state=retired", "purpose=confirmation"];
     const pages = await Promise.all(which.map((one) => getAllPages(`/sets?position=${position}&${one}&limit=1000`)));
     this.confirmations.set(position, pages.pop() ?? []);
-    this.gaps.set(position, pages.flat().sort((a, b) => a.set_index - b.set_index));
+    this.gaps.set(
+      position,
+      pages.flat().sort((a, b) => a.set_index - b.set_index),
+    );
   }
 
   async readFits() {
@@ -307,7 +367,11 @@ export class DataLoader {
     const positions = [...this.dirty.fits];
     this.dirty.fits.clear();
     await Promise.all(
-      positions.flatMap((position) => (FITTED[this.positionInfo(position)?.method] ?? []).map(async (field) => this.fits.set(`${position} ${field}`, await get(`/fits/${position}?field=${field}`)))),
+      positions.flatMap((position) =>
+        (FITTED[this.positionInfo(position)?.method] ?? []).map(async (field) =>
+          this.fits.set(`${position} ${field}`, await get(`/fits/${position}?field=${field}`)),
+        ),
+      ),
     );
   }
 }

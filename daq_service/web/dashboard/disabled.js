@@ -27,7 +27,11 @@ export class DisabledTransducers {
   }
 
   render() {
-    const content = JSON.stringify([this.acceptsCommands, [...this.commandStatus], this.items.map(({ position, retired_because: reason }) => [position, reason])]);
+    const content = JSON.stringify([
+      this.acceptsCommands,
+      [...this.commandStatus],
+      this.items.map(({ position, retired_because: reason }) => [position, reason]),
+    ]);
     if (content === this.shown) return;
     this.shown = content;
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.enable;
@@ -38,10 +42,22 @@ export class DisabledTransducers {
 
   /** @param {any} item of /transducers @returns {HTMLElement} */
   row({ position, retired_because: reason }) {
-    const row = el("div", { class: "banner", "data-tone": "alarm" }, chip(STATES.retired), el("p", {}, el("strong", { text: `Position ${position}: ` }), reason));
+    const row = el(
+      "div",
+      { class: "banner", "data-tone": "alarm" },
+      chip(STATES.retired),
+      el("p", {}, el("strong", { text: `Position ${position}: ` }), reason),
+    );
     if (this.acceptsCommands && isAllowed("reinstate")) {
       const status = this.commandStatus.get(position);
-      const button = el("button", { class: "button small", type: "button", "data-enable": position, disabled: status !== undefined, text: status ?? "Reinstate", "aria-label": `${status ?? "Reinstate"}: position ${position}` });
+      const button = el("button", {
+        class: "button small",
+        type: "button",
+        "data-enable": position,
+        disabled: status !== undefined,
+        text: status ?? "Reinstate",
+        "aria-label": `${status ?? "Reinstate"}: position ${position}`,
+      });
       button.addEventListener("click", () => this.enable(position));
       row.append(button);
     }
@@ -50,8 +66,15 @@ export class DisabledTransducers {
 
   /** @param {string} position */
   async enable(position) {
-    const paragraphs = [`Position ${position} strikes again from the next set on: hands out of the rig. The alarm that retired it is reset.`, "To take it back, retire it again."];
-    const answers = await askConfirmation({ title: `Reinstate position ${position}`, paragraphs, submitLabel: `Reinstate ${position}` });
+    const paragraphs = [
+      `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that retired it is reset.`,
+      "To take it back, retire it again.",
+    ];
+    const answers = await askConfirmation({
+      title: `Reinstate position ${position}`,
+      paragraphs,
+      submitLabel: `Reinstate ${position}`,
+    });
     if (answers === null) return;
     const report = (/** @type {string} */ text) => {
       this.commandStatus.set(position, text);

@@ -19,7 +19,9 @@ export function el(tag, attributes = {}, ...children) {
 
 /** Return a small button. @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
 export function button(text, act, attributes = {}) {
-  const made = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text, ...attributes }));
+  const made = /** @type {HTMLButtonElement} */ (
+    el("button", { class: "button ghost small", type: "button", text, ...attributes })
+  );
   made.addEventListener("click", () => act(made));
   return made;
 }

@@ -14,7 +14,9 @@ const QUALITIES = {
 
 /** Format a current at the scale of the electrochemical supply. @param {number | null} current_a */
 function current(current_a) {
-  return current_a !== null && Math.abs(current_a) >= 1 ? quantity(current_a, 1, 3, "A") : quantity(current_a, 1e3, 2, "mA");
+  return current_a !== null && Math.abs(current_a) >= 1
+    ? quantity(current_a, 1, 3, "A")
+    : quantity(current_a, 1e3, 2, "mA");
 }
 
 /** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values @param {string} since */
@@ -24,8 +26,18 @@ function group(name, quality, age_s, values, since = "before") {
   const element = el(
     "div",
     { class: "environment-group", "data-quality": quality },
-    el("p", { class: "environment-name" }, el("strong", { text: name }), chip(qualityLook), el("span", { class: "quiet small", text: age })),
-    el("dl", { class: "readouts" }, ...values.map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })))),
+    el(
+      "p",
+      { class: "environment-name" },
+      el("strong", { text: name }),
+      chip(qualityLook),
+      el("span", { class: "quiet small", text: age }),
+    ),
+    el(
+      "dl",
+      { class: "readouts" },
+      ...values.map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value }))),
+    ),
   );
   return element;
 }
@@ -49,7 +61,8 @@ export function showEnvironment(root, answer) {
   if (answer.supply_now !== null) parts.push(supplyNow(answer.supply_now));
   if (row === null) return root.replaceChildren(...parts);
   if (row.supply_quality !== "absent") {
-    const state = row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
+    const state =
+      row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
     parts.push(
       group("Supply", row.supply_quality, row.supply_age_s, [
         ["Output", state],
@@ -67,6 +80,11 @@ export function showEnvironment(root, answer) {
       ]),
     );
   }
-  parts.push(el("p", { class: "quiet small environment-age", text: `Set ${row.set_index}, hour ${hour(row.due_h)} · ${fixed(row.age_h, 1)} h old` }));
+  parts.push(
+    el("p", {
+      class: "quiet small environment-age",
+      text: `Set ${row.set_index}, hour ${hour(row.due_h)} · ${fixed(row.age_h, 1)} h old`,
+    }),
+  );
   root.replaceChildren(...parts);
 }

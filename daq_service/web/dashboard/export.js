@@ -11,12 +11,20 @@ import { el } from "./dom.js";
  * @property {string[]} python lines in which `test` is the opened test
  */
 
-const FORMAT_LABELS = /** @type {Record<string, string>} */ ({ csv: "CSV", parquet: "Parquet", arrow: "Arrow", npz: "NPZ", mat: "MATLAB", h5: "HDF5" });
+const FORMAT_LABELS = /** @type {Record<string, string>} */ ({
+  csv: "CSV",
+  parquet: "Parquet",
+  arrow: "Arrow",
+  npz: "NPZ",
+  mat: "MATLAB",
+  h5: "HDF5",
+});
 /** @type {string[]} formats that this service writes; empty until they are read */
 let formats = [];
 
 /** Return the table of the API, and the method of the client, that has a feature. @param {string} field @param {string} method */
-const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features");
+const tableOf = (field, method) =>
+  method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features";
 
 /** Return a text or number as a Python literal. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);
@@ -28,7 +36,8 @@ const hoursOf = (span) => (span ? { from_h: span[0], to_h: span[1] } : {});
 const keywords = (range) => Object.entries(range).map(([name, value]) => `${name}=${literal(value)}`);
 
 /** @param {Record<string, string | number>} args */
-const query = (args) => new URLSearchParams(Object.entries(args).map(([name, value]) => [name, String(value)])).toString();
+const query = (args) =>
+  new URLSearchParams(Object.entries(args).map(([name, value]) => [name, String(value)])).toString();
 
 /**
  * Offer the data of a chart: each set of these hours, also where the chart shows bins.
@@ -49,7 +58,12 @@ export function chartOffer({ fields, method, positions }, span) {
   return {
     description: "Every set of these hours, in SI units.",
     files,
-    python: ["data = {", `    position: test.${table}(${args})[[${columns}]]`, `    for position in [${positions.map(literal).join(", ")}]`, "}"],
+    python: [
+      "data = {",
+      `    position: test.${table}(${args})[[${columns}]]`,
+      `    for position in [${positions.map(literal).join(", ")}]`,
+      "}",
+    ],
   };
 }
 
@@ -61,7 +75,14 @@ export function chartOffer({ fields, method, positions }, span) {
  */
 export function testOffer(span) {
   const range = hoursOf(span);
-  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", baselines: "Baselines", alarms: "Alarms" };
+  const tables = {
+    verdicts: "Verdicts",
+    features: "Features",
+    thickness: "Thickness",
+    sets: "Sets",
+    baselines: "Baselines",
+    alarms: "Alarms",
+  };
   const confirmations = query({ ...range, purpose: "confirmation" });
   return {
     description: span ? "These hours, every position." : "The whole test, every position.",
@@ -71,7 +92,10 @@ export function testOffer(span) {
       { title: "Verdicts on confirmation sets", path: `/tables/verdicts?${confirmations}` },
       { title: "Features of confirmation sets", path: `/tables/features?${confirmations}` },
     ],
-    python: [`verdicts = test.verdicts(${keywords(range).join(", ")})`, `features = test.features(${keywords(range).join(", ")})`],
+    python: [
+      `verdicts = test.verdicts(${keywords(range).join(", ")})`,
+      `features = test.features(${keywords(range).join(", ")})`,
+    ],
   };
 }
 
@@ -113,7 +137,14 @@ function program(lines) {
  */
 export function exportMenu(of, offer) {
   const box = el("div", { class: "export-box" });
-  const root = /** @type {HTMLDetailsElement} */ (el("details", { class: "export" }, el("summary", { class: "button ghost small", "aria-label": `Export: ${of}`, text: "Export" }), box));
+  const root = /** @type {HTMLDetailsElement} */ (
+    el(
+      "details",
+      { class: "export" },
+      el("summary", { class: "button ghost small", "aria-label": `Export: ${of}`, text: "Export" }),
+      box,
+    )
+  );
   root.addEventListener("toggle", () => root.open && void fill(box, offer()));
   root.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || !root.open) return;
@@ -139,19 +170,44 @@ async function fill(box, offer) {
   try {
     if (!formats.length) ({ formats } = await get("/tables"));
   } catch (error) {
-    return box.replaceChildren(el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }));
+    return box.replaceChildren(
+      el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }),
+    );
   }
-  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `${BASE}/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
+  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) =>
+    el("a", { href: `${BASE}/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
   const files = offer.files.map(({ title, path, as }) => {
-    const links = as ? [link(path, as, title)] : formats.map((format) => link(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, FORMAT_LABELS[format] ?? format, title));
+    const links = as
+      ? [link(path, as, title)]
+      : formats.map((format) =>
+          link(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, FORMAT_LABELS[format] ?? format, title),
+        );
     return el("div", {}, el("p", { text: title }), el("p", { class: "export-files" }, ...links));
   });
   const text = program(offer.python);
-  const code = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", readonly: true, rows: String(text.split("\n").length), "aria-label": "The same in Python", spellcheck: "false", wrap: "off" }));
+  const code = /** @type {HTMLTextAreaElement} */ (
+    el("textarea", {
+      class: "field",
+      readonly: true,
+      rows: String(text.split("\n").length),
+      "aria-label": "The same in Python",
+      spellcheck: "false",
+      wrap: "off",
+    })
+  );
   code.value = text;
-  const copy = copyButton("Copy as Python", () => text, () => {
-    code.select();
-    return "Selected: copy it with Ctrl+C";
-  });
-  return box.replaceChildren(el("p", { class: "quiet small", text: offer.description }), ...files, code, el("p", { class: "export-files" }, copy.button, copy.status));
+  const copy = copyButton(
+    "Copy as Python",
+    () => text,
+    () => {
+      code.select();
+      return "Selected: copy it with Ctrl+C";
+    },
+  );
+  return box.replaceChildren(
+    el("p", { class: "quiet small", text: offer.description }),
+    ...files,
+    code,
+    el("p", { class: "export-files" }, copy.button, copy.status),
+  );
 }

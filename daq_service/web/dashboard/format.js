@@ -60,7 +60,9 @@ export const PLANNED_SETS = 10_000_000;
 /** Return the name of a set: its number, or for a confirmation set that of the scheduled set before it. @param {number} index */
 export function setName(index) {
   const confirmationNumber = Math.floor(index / PLANNED_SETS);
-  return confirmationNumber ? `confirmation set ${confirmationNumber} after set ${index % PLANNED_SETS}` : `set ${index}`;
+  return confirmationNumber
+    ? `confirmation set ${confirmationNumber} after set ${index % PLANNED_SETS}`
+    : `set ${index}`;
 }
 
 /** Format an RFC 3339 time as a short UTC text. @param {string | null | undefined} text */
@@ -78,6 +80,9 @@ export function utc(text) {
 export function ageText(standing, data, sinceS) {
   const wall = standing.wall_age_s === null ? NONE : `${duration(standing.wall_age_s + sinceS)} ago`;
   const grown = standing.clock === "wall" ? sinceS / 3600 : 0;
-  const last = data.data_h === null ? "nothing measured yet" : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + grown, 1)} h old`;
+  const last =
+    data.data_h === null
+      ? "nothing measured yet"
+      : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + grown, 1)} h old`;
   return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
 }

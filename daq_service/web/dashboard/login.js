@@ -23,13 +23,28 @@ export async function admitted() {
 
 /** @returns {Promise<Session>} */
 function loggedIn() {
-  const token = /** @type {HTMLInputElement} */ (el("input", { id: "login-token", class: "field", type: "password", maxlength: "200", autocomplete: "off", required: true }));
+  const token = /** @type {HTMLInputElement} */ (
+    el("input", {
+      id: "login-token",
+      class: "field",
+      type: "password",
+      maxlength: "200",
+      autocomplete: "off",
+      required: true,
+    })
+  );
   const trouble = el("p", { id: "login-trouble", role: "alert" });
   const form = el(
     "form",
     {},
     el("h2", { id: "login-title", text: "Log in" }),
-    el("p", { class: "quiet" }, "This service asks for a token: whoever runs it makes one with ", el("code", { text: "solimon token create" }), "."),
+    el(
+      "p",
+      { class: "quiet" },
+      "This service asks for a token: whoever runs it makes one with ",
+      el("code", { text: "solimon token create" }),
+      ".",
+    ),
     el("label", { for: "login-token", text: "Token" }),
     token,
     trouble,

@@ -61,7 +61,15 @@ const state = { connected: false, hasSupply: false, recorder: "absent", shown: "
 
 const address = new Address(show);
 /** @type {DataLoader} */
-const data = new DataLoader({ drawn: () => board.drawn(address.view, chartedPosition()).all, onStart: onBegin, onRead, onColumns, onDetails: showColumns, onWaiting: notice, onTrouble: (error) => updateFailure.fail(error, data.readAt) });
+const data = new DataLoader({
+  drawn: () => board.drawn(address.view, chartedPosition()).all,
+  onStart: onBegin,
+  onRead,
+  onColumns,
+  onDetails: showColumns,
+  onWaiting: notice,
+  onTrouble: (error) => updateFailure.fail(error, data.readAt),
+});
 const updateFailure = new UpdateFailure(byId("update-failure"));
 const otherTests = new OtherTests(onOthers);
 /** @type {Board} */
@@ -74,7 +82,8 @@ const board = new Board(
     timeline,
     open: openSet,
     note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
-    table: (id, shown) => address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
+    table: (id, shown) =>
+      address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
   },
   (feature) => address.go({ feature }),
 );
@@ -93,7 +102,8 @@ const panelHost = {
   info: () => data.info,
   units: (position) => data.baseline(position)?.units ?? data.trends.get(position)?.units ?? {},
   ghost: typicalSet,
-  last: (position) => Math.max(data.trends.get(position)?.columns.set_index.at(-1) ?? 0, data.gaps.get(position)?.at(-1)?.set_index ?? 0),
+  last: (position) =>
+    Math.max(data.trends.get(position)?.columns.set_index.at(-1) ?? 0, data.gaps.get(position)?.at(-1)?.set_index ?? 0),
   view: () => address.view,
   go: (changes, how) => address.go(changes, how),
 };
@@ -103,7 +113,13 @@ const waterfallHost = {
   info: () => (data.trends.has(address.view.position) ? data.info : null),
   view: () => address.view,
   go: (changes, how) => address.go(changes, how),
-  full: () => fullSpan(/** @type {any} */ ({ x: data.trends.get(address.view.position)?.columns.due_h ?? [], endHour: data.info.schedule.end_h })),
+  full: () =>
+    fullSpan(
+      /** @type {any} */ ({
+        x: data.trends.get(address.view.position)?.columns.due_h ?? [],
+        endHour: data.info.schedule.end_h,
+      }),
+    ),
   timeline,
   open: openSet,
   over: (position) => {
@@ -150,7 +166,9 @@ function showHours(from, to, changes = {}) {
 /** Return the position of the solitary-wave charts: the chosen one where it has waves. */
 function chartedPosition() {
   const { position, charts } = address.view;
-  const solitaryWave = data.info.positions.filter((/** @type {any} */ positionInfo) => positionInfo.method === "solitary_wave").map((/** @type {any} */ positionInfo) => positionInfo.position);
+  const solitaryWave = data.info.positions
+    .filter((/** @type {any} */ positionInfo) => positionInfo.method === "solitary_wave")
+    .map((/** @type {any} */ positionInfo) => positionInfo.position);
   return [position, charts].find((one) => solitaryWave.includes(one)) ?? solitaryWave[0] ?? "";
 }
 
@@ -183,7 +201,12 @@ function typicalSet(position) {
   if (method === "pulse_echo") return columns.set_index[columns.quality.indexOf("good")] ?? null;
   let best = -1;
   columns.set_index.forEach((/** @type {number} */ _, /** @type {number} */ k) => {
-    if (columns.in_baseline[k] && columns.distance_squared[k] !== null && (best < 0 || columns.distance_squared[k] < columns.distance_squared[best])) best = k;
+    if (
+      columns.in_baseline[k] &&
+      columns.distance_squared[k] !== null &&
+      (best < 0 || columns.distance_squared[k] < columns.distance_squared[best])
+    )
+      best = k;
   });
   return best < 0 ? null : columns.set_index[best];
 }
@@ -238,7 +261,12 @@ function onColumns() {
   showBaseline();
   toolbar.update(address.view, chartedPosition(), data.info, timeline());
   comparison.update(address.view);
-  waterfall.renew(String([data.trends.get(address.view.position)?.columns.set_index.at(-1), data.gaps.get(address.view.position)?.length]));
+  waterfall.renew(
+    String([
+      data.trends.get(address.view.position)?.columns.set_index.at(-1),
+      data.gaps.get(address.view.position)?.length,
+    ]),
+  );
   panel.update();
   alarmList.renew();
 }
@@ -292,7 +320,10 @@ function showInfo() {
   rig.hidden = false;
   setText(rig, info.rig_label);
   rig.dataset.rig = info.rig;
-  setText(byId("approval"), `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`);
+  setText(
+    byId("approval"),
+    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`,
+  );
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
   byId("finish").hidden = !info.clock.can_finish_now || !isAllowed("finish_now");
@@ -304,7 +335,9 @@ function showInfo() {
 function showClock(asOf) {
   setText(byId("hour"), `Hour ${hour(asOf.now_h)}`);
   setText(byId("utc"), `${utc(asOf.now_utc)} on the ${asOf.clock} clock`);
-  /** @type {HTMLProgressElement} */ (byId("progress")).value = data.info ? Math.min(1, asOf.now_h / data.info.schedule.end_h) : 0;
+  /** @type {HTMLProgressElement} */ (byId("progress")).value = data.info
+    ? Math.min(1, asOf.now_h / data.info.schedule.end_h)
+    : 0;
   Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
   pauseControl.update(data.info?.held ?? null, state.recorder);
@@ -350,11 +383,16 @@ function redraw() {
   alarmList.redraw();
 }
 
-const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
+const theme = new Theme(
+  () => address.view.theme,
+  (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }),
+  redraw,
+);
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
   const paragraphs = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
-  if ((await askConfirmation({ title: "Finish the test now", paragraphs, submitLabel: "Run to the end" })) === null) return;
+  if ((await askConfirmation({ title: "Finish the test now", paragraphs, submitLabel: "Run to the end" })) === null)
+    return;
   if (await sendByButton(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
     button.disabled = true;
     setText(button, "Finishing");
@@ -370,7 +408,10 @@ alarmList.addEventListener("show-hour", (event) => {
 // Shelving also ends in real time: where no recorder runs, no event reports it.
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && data.readAlarms(), SHELF_MS);
 // Without a recorder there are no events, and the supply's own process may switch off.
-setInterval(() => state.hasSupply && data.readEnvironment().catch((error) => updateFailure.fail(error, data.readAt)), SUPPLY_MS);
+setInterval(
+  () => state.hasSupply && data.readEnvironment().catch((error) => updateFailure.fail(error, data.readAt)),
+  SUPPLY_MS,
+);
 theme.show();
 byId("all-tests").hidden = BASE === "";
 

@@ -19,13 +19,20 @@ const STATES = {
 
 /** @param {any} receiver of /notifications */
 function lastSuccess(receiver) {
-  return receiver.last_sent_utc === null ? "none since the service began" : `${utc(receiver.last_sent_utc)}, ${duration(receiver.last_sent_age_s)} ago`;
+  return receiver.last_sent_utc === null
+    ? "none since the service began"
+    : `${utc(receiver.last_sent_utc)}, ${duration(receiver.last_sent_age_s)} ago`;
 }
 
 /** @param {any} beat */
 function heartbeat(beat) {
   if (beat === null) return "not asked for";
-  const states = /** @type {Record<string, string>} */ ({ off: "none yet", ok: "taken", failing: "not taken", withheld: "withheld" });
+  const states = /** @type {Record<string, string>} */ ({
+    off: "none yet",
+    ok: "taken",
+    failing: "not taken",
+    withheld: "withheld",
+  });
   return `${states[beat.state]}${beat.last_utc ? `, last ${utc(beat.last_utc)}` : ""}${beat.state === "ok" ? "" : ` ${beat.told}`}`;
 }
 
@@ -43,10 +50,25 @@ class Receiver {
     this.values = Object.fromEntries(["Last success", "Waiting", "Heartbeat"].map((term) => [term, el("dd")]));
     this.trouble = el("p", { role: "status" });
     this.result = el("p", { class: "quiet small", role: "status" });
-    this.button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", hidden: !isAllowed("test_receiver"), text: `Send a trial to ${this.name}` }));
+    this.button = /** @type {HTMLButtonElement} */ (
+      el("button", {
+        class: "button ghost",
+        type: "button",
+        hidden: !isAllowed("test_receiver"),
+        text: `Send a trial to ${this.name}`,
+      })
+    );
     this.button.addEventListener("click", () => this.#test(changed));
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
-    this.element = el("div", { class: "environment-group" }, this.state, el("dl", { class: "readouts" }, ...readouts), this.button, this.trouble, this.result);
+    this.element = el(
+      "div",
+      { class: "environment-group" },
+      this.state,
+      el("dl", { class: "readouts" }, ...readouts),
+      this.button,
+      this.trouble,
+      this.result,
+    );
     this.shownState = "";
   }
 
@@ -54,7 +76,11 @@ class Receiver {
   update(receiver) {
     if (this.shownState !== receiver.state) {
       this.shownState = receiver.state;
-      this.state.replaceChildren(el("strong", { text: this.name }), chip(STATES[receiver.state]), el("span", { class: "quiet small", text: `${receiver.kind}, ${receiver.address}` }));
+      this.state.replaceChildren(
+        el("strong", { text: this.name }),
+        chip(STATES[receiver.state]),
+        el("span", { class: "quiet small", text: `${receiver.kind}, ${receiver.address}` }),
+      );
     }
     setText(this.values["Last success"], lastSuccess(receiver));
     setText(this.values.Waiting, String(receiver.waiting));
@@ -68,7 +94,10 @@ class Receiver {
     setText(this.result, "Sending");
     try {
       const answer = await post(`/notifications/${this.name}/test`, {});
-      setText(this.result, `${answer.ok ? "The trial arrived" : "The trial did not arrive"} after ${answer.took_s.toFixed(1)} s: ${answer.told}`);
+      setText(
+        this.result,
+        `${answer.ok ? "The trial arrived" : "The trial did not arrive"} after ${answer.took_s.toFixed(1)} s: ${answer.told}`,
+      );
     } catch (error) {
       setText(this.result, /** @type {Error} */ (error).message);
     }
@@ -95,7 +124,8 @@ export class Notifications {
   async start() {
     const answer = await get("/notifications");
     if (!answer.receivers.length) return;
-    for (const receiver of answer.receivers) this.receivers.set(receiver.name, new Receiver(receiver, () => this.#readLog()));
+    for (const receiver of answer.receivers)
+      this.receivers.set(receiver.name, new Receiver(receiver, () => this.#readLog()));
     const heading = el("h2", { id: "notifications-title", text: "Notifications" });
     this.root.append(heading, this.status, ...[...this.receivers.values()].map((one) => one.element), this.log);
     this.root.hidden = false;
@@ -119,16 +149,34 @@ export class Notifications {
 
   #table() {
     const head = ["Time", "Receiver", "What", "Told", "Events"].map((text) => el("th", { scope: "col", text }));
-    const table = el("table", {}, el("caption", { text: `The newest ${LOG_LINES}` }), el("thead", {}, el("tr", {}, ...head)), this.rows);
-    return el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Log of deliveries, table" }, table);
+    const table = el(
+      "table",
+      {},
+      el("caption", { text: `The newest ${LOG_LINES}` }),
+      el("thead", {}, el("tr", {}, ...head)),
+      this.rows,
+    );
+    return el(
+      "div",
+      { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Log of deliveries, table" },
+      table,
+    );
   }
 
   async #readLog() {
     if (!(/** @type {HTMLDetailsElement} */ (this.log).open)) return;
     try {
       const { items } = await get(`/notifications/log?limit=${LOG_LINES}`);
-      const cells = (/** @type {any} */ row) => [utc(row.utc), row.receiver, row.what.replace("_", " "), row.told, row.event_ids.join(", ")];
-      this.rows.replaceChildren(...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))));
+      const cells = (/** @type {any} */ row) => [
+        utc(row.utc),
+        row.receiver,
+        row.what.replace("_", " "),
+        row.told,
+        row.event_ids.join(", "),
+      ];
+      this.rows.replaceChildren(
+        ...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))),
+      );
     } catch (error) {
       this.fail(/** @type {Error} */ (error));
     }

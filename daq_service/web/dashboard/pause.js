@@ -33,7 +33,14 @@ export class PauseControl {
       paragraphs: ["The strike that is under way ends, none follows, and a restart does not end the hold."],
       submitLabel: "Hold now",
       // To pause is the safe choice itself: the field that it needs has the focus.
-      fields: [{ name: "note", label: "Reason", first: true, input: { required: true, pattern: ".*\\S.*", placeholder: "hands in the rig" } }],
+      fields: [
+        {
+          name: "note",
+          label: "Reason",
+          first: true,
+          input: { required: true, pattern: ".*\\S.*", placeholder: "hands in the rig" },
+        },
+      ],
     });
     if (answers) await sendByButton(this.button, "hold", answers, this.onTrouble);
   }
@@ -41,7 +48,10 @@ export class PauseControl {
   async resume() {
     const answers = await askConfirmation({
       title: "Release the test",
-      paragraphs: ["Strikers move again from the next due set on: hands out of the rig, doors shut.", "To take it back, hold the test again."],
+      paragraphs: [
+        "Strikers move again from the next due set on: hands out of the rig, doors shut.",
+        "To take it back, hold the test again.",
+      ],
       submitLabel: "Release now",
     });
     if (answers) await sendByButton(this.resumeButton, "release", {}, this.onTrouble);

@@ -26,7 +26,10 @@ export class OperatorPrompt {
     this.deadlineMs = request === null ? 0 : performance.now() + 1000 * request.left_s;
     if (request !== null) {
       setText(byId("prompt-text"), request.text);
-      const shotText = request.position == null ? "" : `Position ${request.position}, set ${request.set_index + 1}, shot ${request.shot_index + 1}`;
+      const shotText =
+        request.position == null
+          ? ""
+          : `Position ${request.position}, set ${request.set_index + 1}, shot ${request.shot_index + 1}`;
       setText(byId("prompt-shot"), request.attempt ? `${shotText}, once more` : shotText);
     }
     this.tick();

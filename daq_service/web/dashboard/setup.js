@@ -37,7 +37,9 @@ function draw(canvas, envelopes, lines) {
   pen.scale(ratio, ratio);
   const newest = envelopes[envelopes.length - 1];
   let half = 1.1 * (lines.level_v ? Math.abs(lines.level_v) : 0);
-  for (const envelope of envelopes) for (let k = 0; k < envelope.lowest_v.length; k += 1) half = Math.max(half, 1.1 * Math.abs(envelope.lowest_v[k]), 1.1 * Math.abs(envelope.highest_v[k]));
+  for (const envelope of envelopes)
+    for (let k = 0; k < envelope.lowest_v.length; k += 1)
+      half = Math.max(half, 1.1 * Math.abs(envelope.lowest_v[k]), 1.1 * Math.abs(envelope.highest_v[k]));
   const range = lines.range_v ?? newest.range_v;
   if (half > 0.3 * range) half = Math.max(half, 1.1 * range);
   const length = newest.lowest_v.length * newest.column_s;
@@ -94,7 +96,10 @@ function draw(canvas, envelopes, lines) {
 
 /** @param {string} path @param {object} [body] @returns {Promise<any>} */
 async function ask(path, body) {
-  const options = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const options =
+    body === undefined
+      ? {}
+      : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
   const answer = await fetch(path, options);
   if (!answer.ok) throw new Error((await answer.json()).detail);
   return answer.json();
@@ -125,7 +130,11 @@ function show(question) {
   byId("form").dataset.name = question.name;
   setText(byId("question"), question.text);
   const buttons = question.choices.map((choice) => {
-    const button = el("button", { class: choice === question.default ? "button" : "button ghost", type: "button", text: choice });
+    const button = el("button", {
+      class: choice === question.default ? "button" : "button ghost",
+      type: "button",
+      text: choice,
+    });
     button.addEventListener("click", () => void sendAnswer(choice));
     return button;
   });
@@ -150,13 +159,20 @@ async function showStrike() {
     const edges = [{ name: "coil off", time_s: newest.off_s }];
     if (newest.holdoff_s) edges.push({ name: "listens", time_s: newest.off_s + newest.holdoff_s });
     draw(strikeCanvas, [newest.strike], { level_v: newest.level_v, edges });
-    strikeCanvas.setAttribute("aria-label", `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`);
+    strikeCanvas.setAttribute(
+      "aria-label",
+      `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`,
+    );
   }
   const shot = /** @type {HTMLCanvasElement} */ (byId("shot"));
   shot.dataset.strikes = String(strikes);
   if (newest.shot === null) return;
   draw(shot, [newest.shot], { range_v: newest.proposed_range_v, level_v: newest.level_v, marks: newest.marks });
-  const markTexts = newest.marks.map((/** @type {Mark} */ mark) => (mark.height_v === null || mark.time_s === null ? `no ${mark.name}` : `${mark.name} ${mark.height_v.toFixed(2)} V at ${(mark.time_s * 1e6).toFixed(1)} µs`));
+  const markTexts = newest.marks.map((/** @type {Mark} */ mark) =>
+    mark.height_v === null || mark.time_s === null
+      ? `no ${mark.name}`
+      : `${mark.name} ${mark.height_v.toFixed(2)} V at ${(mark.time_s * 1e6).toFixed(1)} µs`,
+  );
   shot.setAttribute("aria-label", markTexts.join("; "));
   setText(byId("flags"), `${markTexts.join("; ")}; flags: ${newest.flags.join(", ") || "none"}`);
 }
@@ -167,14 +183,18 @@ async function pollScope() {
     kept = [];
     scope = { position, level_v: scope.level_v };
     setText(byId("live-title"), position === null ? "At rest, free running" : `${position} at rest, free running`);
-    if (position !== null && envelope === null) setText(byId("live-title"), `${position}: its instrument records strikes only`);
+    if (position !== null && envelope === null)
+      setText(byId("live-title"), `${position}: its instrument records strikes only`);
   }
   if (error) setText(byId("state"), error);
   if (!envelope) return;
   kept = [...kept, envelope].slice(-KEPT);
   draw(live, kept, { level_v: scope.level_v });
   live.dataset.frames = String(Number(live.dataset.frames ?? 0) + 1);
-  live.setAttribute("aria-label", `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ±${envelope.range_v} V`);
+  live.setAttribute(
+    "aria-label",
+    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ±${envelope.range_v} V`,
+  );
 }
 
 async function pollState() {
@@ -184,7 +204,10 @@ async function pollState() {
     if (state.done) {
       setText(byId("state"), "Done");
       byId("form").hidden = true;
-      setText(byId("question"), state.lines.filter((/** @type {string} */ line) => line.includes("is written"))[0] ?? "Ended");
+      setText(
+        byId("question"),
+        state.lines.filter((/** @type {string} */ line) => line.includes("is written"))[0] ?? "Ended",
+      );
       return;
     }
     setText(byId("state"), state.question === null ? "Working" : "Waits for you");

@@ -22,15 +22,34 @@ export function suppressedText(alarm) {
 
 /** @param {any} alarm @param {(text: string) => void} report */
 export async function restoreAlarm(alarm, report) {
-  await sendCommand(alarm.suppressed === "shelved" ? "unshelve_alarm" : "return_to_service", { alarm_id: alarm.id }, report);
+  await sendCommand(
+    alarm.suppressed === "shelved" ? "unshelve_alarm" : "return_to_service",
+    { alarm_id: alarm.id },
+    report,
+  );
 }
 
 export class ShelveDialog {
   constructor() {
     this.id = 0;
     this.what = el("p", { class: "quiet" });
-    this.reason = /** @type {HTMLInputElement} */ (el("input", { class: "field", id: "shelf-reason", type: "text", maxlength: "500", autocomplete: "off", required: true }));
-    this.length = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "shelf-length" }, ...LENGTHS.map(([value, text]) => el("option", { value, text }))));
+    this.reason = /** @type {HTMLInputElement} */ (
+      el("input", {
+        class: "field",
+        id: "shelf-reason",
+        type: "text",
+        maxlength: "500",
+        autocomplete: "off",
+        required: true,
+      })
+    );
+    this.length = /** @type {HTMLSelectElement} */ (
+      el(
+        "select",
+        { class: "field", id: "shelf-length" },
+        ...LENGTHS.map(([value, text]) => el("option", { value, text })),
+      )
+    );
     this.trouble = el("p", { role: "alert" });
     const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
     const form = el(
@@ -43,7 +62,12 @@ export class ShelveDialog {
       el("label", { for: "shelf-length", text: "For, in hours of the test or in real time, whichever pass first" }),
       this.length,
       this.trouble,
-      el("div", { class: "dialog-actions" }, cancel, el("button", { class: "button", type: "submit", text: "Shelve it" })),
+      el(
+        "div",
+        { class: "dialog-actions" },
+        cancel,
+        el("button", { class: "button", type: "submit", text: "Shelve it" }),
+      ),
     );
     this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "shelf-title" }, form));
     cancel.addEventListener("click", () => this.dialog.close());
@@ -56,7 +80,10 @@ export class ShelveDialog {
   /** @param {any} alarm */
   ask(alarm) {
     this.id = alarm.id;
-    setText(this.what, `${alarm.position ?? "Service"}: ${alarm.message}. It goes on through its states and is counted apart; if it grows worse it comes off the shelf.`);
+    setText(
+      this.what,
+      `${alarm.position ?? "Service"}: ${alarm.message}. It goes on through its states and is counted apart; if it grows worse it comes off the shelf.`,
+    );
     this.reason.value = "";
     this.length.value = "8";
     setText(this.trouble, "");
@@ -68,7 +95,11 @@ export class ShelveDialog {
     const hours = this.length.value;
     try {
       const args = { alarm_id: this.id, reason: this.reason.value };
-      await sendCommand(hours ? "shelve_alarm" : "take_out_of_service", hours ? { ...args, for_h: Number(hours) } : args, (text) => setText(this.trouble, text));
+      await sendCommand(
+        hours ? "shelve_alarm" : "take_out_of_service",
+        hours ? { ...args, for_h: Number(hours) } : args,
+        (text) => setText(this.trouble, text),
+      );
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);

@@ -35,22 +35,43 @@ const ageS = (item) => item.looked_age_s + (performance.now() - readAt) / 1000;
 /** @param {any} item @returns {HTMLElement} */
 function card(item) {
   const { standing } = item;
-  const title = standing ? el("a", { class: "test-name", href: item.page, text: item.name }) : el("span", { class: "test-name", text: item.name });
+  const title = standing
+    ? el("a", { class: "test-name", href: item.page, text: item.name })
+    : el("span", { class: "test-name", text: item.name });
   const head = el("div", { class: "test-head" }, el("h2", {}, title));
   const element = el("li", { class: "card test" }, head);
   element.dataset.test = item.test;
   element.dataset.state = standing?.state ?? item.state;
   if (!standing) {
-    head.append(chip({ label: ABSENT[item.state] ?? item.state, icon: "dash", tone: item.state === "no_data" ? "info" : "warn" }));
-    element.append(el("p", { text: item.detail }), el("p", { class: "test-remedy", text: item.remedy }), el("p", { class: "quiet small", text: item.source }));
+    head.append(
+      chip({ label: ABSENT[item.state] ?? item.state, icon: "dash", tone: item.state === "no_data" ? "info" : "warn" }),
+    );
+    element.append(
+      el("p", { text: item.detail }),
+      el("p", { class: "test-remedy", text: item.remedy }),
+      el("p", { class: "quiet small", text: item.source }),
+    );
     return element;
   }
   head.append(chip(STATES[standing.state]), chip(RECORDER[standing.recorder]));
-  if (standing.highest_severity) head.append(chip({ ...SEVERITIES[standing.highest_severity], label: `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ${standing.highest_severity}` }));
+  if (standing.highest_severity)
+    head.append(
+      chip({
+        ...SEVERITIES[standing.highest_severity],
+        label: `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ${standing.highest_severity}`,
+      }),
+    );
   if (standing.held) head.append(chip({ label: "On hold", icon: "pause", tone: "warn" }));
-  const positions = standing.positions.map((/** @type {any} */ positionInfo) => el("li", {}, el("span", { class: "quiet", text: positionInfo.position }), " ", chip(STATES[positionInfo.state])));
+  const positions = standing.positions.map((/** @type {any} */ positionInfo) =>
+    el("li", {}, el("span", { class: "quiet", text: positionInfo.position }), " ", chip(STATES[positionInfo.state])),
+  );
   element.append(
-    el("p", {}, el("span", { class: "badge", text: standing.rig_label }), ` hour ${hour(standing.now_h)} of ${hour(standing.end_h)} h on the ${standing.clock} clock`),
+    el(
+      "p",
+      {},
+      el("span", { class: "badge", text: standing.rig_label }),
+      ` hour ${hour(standing.now_h)} of ${hour(standing.end_h)} h on the ${standing.clock} clock`,
+    ),
     el("ul", { class: "test-positions", "aria-label": `${standing.positions.length} positions` }, ...positions),
     el("p", { class: "tile-age" }),
     el("p", { class: "quiet small", text: item.source }),
@@ -64,14 +85,21 @@ function show() {
   root.replaceChildren(...items.map(card));
   if (focused) /** @type {HTMLElement | null} */ (root.querySelector(`[data-test="${focused}"] a`))?.focus();
   const shown = items.filter((item) => item.standing).length;
-  setText(byId("summary"), `${items.length} tests${shown < items.length ? `, ${items.length - shown} of them cannot be shown` : ""}`);
+  setText(
+    byId("summary"),
+    `${items.length} tests${shown < items.length ? `, ${items.length - shown} of them cannot be shown` : ""}`,
+  );
   tick();
 }
 
 function tick() {
   for (const item of items) {
     const age = root.querySelector(`[data-test="${item.test}"] .tile-age`);
-    if (age) setText(age, `${item.standing.last_set_index === null ? "" : `Set ${item.standing.last_set_index} · `}${ageText(item.standing, { ...item.standing, data_h: item.standing.last_set_h }, ageS(item))}`);
+    if (age)
+      setText(
+        age,
+        `${item.standing.last_set_index === null ? "" : `Set ${item.standing.last_set_index} · `}${ageText(item.standing, { ...item.standing, data_h: item.standing.last_set_h }, ageS(item))}`,
+      );
   }
 }
 
@@ -94,7 +122,11 @@ async function poll() {
 }
 
 /** @type {Theme} */
-const theme = new Theme(() => "", () => theme.show(), () => {});
+const theme = new Theme(
+  () => "",
+  () => theme.show(),
+  () => {},
+);
 theme.show();
 setInterval(tick, TICK_MS);
 document.addEventListener("visibilitychange", read);

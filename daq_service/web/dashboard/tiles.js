@@ -27,7 +27,14 @@ function gauge(ratio) {
   };
   add("rect", { class: "gauge-track", x: "0.5", y: "2.5", width: "199", height: "5", rx: "2" });
   if (ratio !== null) {
-    const value = add("rect", { class: "gauge-value", x: "0.5", y: "2.5", width: String(199 * onGauge(ratio)), height: "5", rx: "2" });
+    const value = add("rect", {
+      class: "gauge-value",
+      x: "0.5",
+      y: "2.5",
+      width: String(199 * onGauge(ratio)),
+      height: "5",
+      rx: "2",
+    });
     value.dataset.over = String(ratio > 1);
   }
   add("line", { class: "gauge-limit", x1: "100", x2: "100", y1: "0", y2: "10" });
@@ -36,7 +43,11 @@ function gauge(ratio) {
 
 /** @param {[string, string][]} values */
 function list(values) {
-  return el("dl", { class: "tile-values" }, ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+  return el(
+    "dl",
+    { class: "tile-values" },
+    ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+  );
 }
 
 export class Tiles {
@@ -92,7 +103,9 @@ export class Tiles {
 
   /** Return the seconds since the recorder's last write. */
   wallAgeS() {
-    return this.asOf?.wall_age_s === null || !this.asOf ? null : this.asOf.wall_age_s + (performance.now() - this.readAt) / 1000;
+    return this.asOf?.wall_age_s === null || !this.asOf
+      ? null
+      : this.asOf.wall_age_s + (performance.now() - this.readAt) / 1000;
   }
 
   /** Update the ages, which grow without new data; called every second. */
@@ -119,10 +132,29 @@ export class Tiles {
     const chosen = state.position === this.selected;
     const tile = el(
       "div",
-      { class: "tile", role: "radio", "aria-checked": String(chosen), tabindex: chosen ? "0" : "-1", "aria-label": `Position ${state.position}, ${state.label}: ${stateLook.label}` },
-      el("div", { class: "tile-head" }, el("span", { class: "tile-name", text: state.position }), el("span", { class: "tile-label", text: state.label }), chip(stateLook)),
+      {
+        class: "tile",
+        role: "radio",
+        "aria-checked": String(chosen),
+        tabindex: chosen ? "0" : "-1",
+        "aria-label": `Position ${state.position}, ${state.label}: ${stateLook.label}`,
+      },
+      el(
+        "div",
+        { class: "tile-head" },
+        el("span", { class: "tile-name", text: state.position }),
+        el("span", { class: "tile-label", text: state.label }),
+        chip(stateLook),
+      ),
       ...body,
-      ...(state.suppressed_alarms ? [el("p", { class: "quiet small", text: `${state.suppressed_alarms} shelved or out of service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}` })] : []),
+      ...(state.suppressed_alarms
+        ? [
+            el("p", {
+              class: "quiet small",
+              text: `${state.suppressed_alarms} shelved or out of service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}`,
+            }),
+          ]
+        : []),
       el("p", { class: "tile-age" }),
     );
     tile.dataset.position = state.position;
@@ -136,14 +168,30 @@ export class Tiles {
     const { last_verdict: assessment } = state;
     const feature = state.last_feature;
     const limit = assessment ? limitOf(assessment) : null;
-    const ratio = assessment && limit && assessment.distance_squared !== null ? assessment.distance_squared / limit : null;
-    const note = ratio === null ? (assessment?.reason ?? "no limit yet") : `× limit (D² ${significant(assessment.distance_squared)} of ${significant(limit)})`;
+    const ratio =
+      assessment && limit && assessment.distance_squared !== null ? assessment.distance_squared / limit : null;
+    const note =
+      ratio === null
+        ? (assessment?.reason ?? "no limit yet")
+        : `× limit (D² ${significant(assessment.distance_squared)} of ${significant(limit)})`;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }), el("span", { class: "figure-note", text: note })),
+      el(
+        "div",
+        { class: "tile-figure" },
+        el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }),
+        el("span", { class: "figure-note", text: note }),
+      ),
       gauge(ratio),
       list([
         ...(assessment?.cause ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
-        ...(typeof assessment?.chart === "number" && assessment.limits?.chart ? [/** @type {[string, string]} */ (["Chart", `${significant(assessment.chart)}, limit ${significant(assessment.limits.chart)}`])] : []),
+        ...(typeof assessment?.chart === "number" && assessment.limits?.chart
+          ? [
+              /** @type {[string, string]} */ ([
+                "Chart",
+                `${significant(assessment.chart)}, limit ${significant(assessment.limits.chart)}`,
+              ]),
+            ]
+          : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],
@@ -154,11 +202,23 @@ export class Tiles {
   /** @param {any} state @returns {Element[]} */
   pulseEcho(state) {
     const row = state.last_thickness;
-    const initial = row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
+    const initial =
+      row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
     const fraction = initial ? row.thickness_loss_m / initial : null;
     const ratio = fraction === null || !this.lossLimit ? null : fraction / this.lossLimit;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: fraction === null ? "wall thickness" : `${fixed(100 * fraction, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %` })),
+      el(
+        "div",
+        { class: "tile-figure" },
+        el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }),
+        el("span", {
+          class: "figure-note",
+          text:
+            fraction === null
+              ? "wall thickness"
+              : `${fixed(100 * fraction, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %`,
+        }),
+      ),
       gauge(ratio),
       list([
         ["Loss", quantity(row?.thickness_loss_m, 1e3, 2, "mm")],

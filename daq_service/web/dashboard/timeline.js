@@ -25,7 +25,10 @@ export class Timeline {
   /** @param {number} ms since 1970, of UTC @returns {[string, string]} date and time of day */
   parts(ms) {
     const at = new Date(ms - this.offsetMs(ms));
-    return [`${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())}`, `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}`];
+    return [
+      `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())}`,
+      `${two(at.getUTCHours())}:${two(at.getUTCMinutes())}`,
+    ];
   }
 
   /** UTC minus this axis's time. @param {number} ms */

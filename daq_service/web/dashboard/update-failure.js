@@ -12,7 +12,10 @@ export class UpdateFailure {
     this.root = root;
     this.reason = el("strong");
     this.age = el("span");
-    root.append(el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"), el("p", {}, this.reason, " ", this.age));
+    root.append(
+      el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"),
+      el("p", {}, this.reason, " ", this.age),
+    );
     this.readAt = 0;
     setInterval(() => this.tick(), TICK_MS);
   }
@@ -30,6 +33,12 @@ export class UpdateFailure {
   }
 
   tick() {
-    if (!this.root.hidden) setText(this.age, this.readAt ? `What is shown was read ${duration((performance.now() - this.readAt) / 1000)} ago.` : "Nothing has been read yet.");
+    if (!this.root.hidden)
+      setText(
+        this.age,
+        this.readAt
+          ? `What is shown was read ${duration((performance.now() - this.readAt) / 1000)} ago.`
+          : "Nothing has been read yet.",
+      );
   }
 }

@@ -46,7 +46,12 @@ export const PLAIN = Object.freeze({
   tables: [],
   theme: "",
 });
-const CHOICES = /** @type {Record<string, string[]>} */ ({ axis: ["hours", "utc", "local"], align: ["trigger", "first"], shown: ["volts", "normalised", "difference"], theme: ["auto", "light", "dark"] });
+const CHOICES = /** @type {Record<string, string[]>} */ ({
+  axis: ["hours", "utc", "local"],
+  align: ["trigger", "first"],
+  shown: ["volts", "normalised", "difference"],
+  theme: ["auto", "light", "dark"],
+});
 const WHOLE_NUMBERS = new Set(["set", "shot"]);
 const GESTURE_MS = 1000;
 
@@ -57,7 +62,9 @@ function read(key, text) {
   if (typeof plain === "boolean") return text === "1";
   if (plain === null) {
     const value = text.trim() === "" ? NaN : Number(text);
-    return Number.isFinite(value) && (!WHOLE_NUMBERS.has(key) || (Number.isSafeInteger(value) && value >= 0)) ? value : undefined;
+    return Number.isFinite(value) && (!WHOLE_NUMBERS.has(key) || (Number.isSafeInteger(value) && value >= 0))
+      ? value
+      : undefined;
   }
   return CHOICES[key] && !CHOICES[key].includes(text) ? undefined : text;
 }
@@ -70,7 +77,11 @@ export function parse(search) {
     const value = Object.hasOwn(PLAIN, key) ? read(key, text) : undefined;
     if (value !== undefined) view[key] = value;
   }
-  for (const [low, high] of [["from_h", "to_h"], ["from_us", "to_us"], ["from_wf_us", "to_wf_us"]]) {
+  for (const [low, high] of [
+    ["from_h", "to_h"],
+    ["from_us", "to_us"],
+    ["from_wf_us", "to_wf_us"],
+  ]) {
     if (view[low] === null || view[high] === null || view[low] >= view[high]) view[low] = view[high] = null;
   }
   return view;
@@ -83,7 +94,9 @@ export function format(view) {
     const plain = /** @type {any} */ (PLAIN)[key];
     if (String(value) === String(plain)) continue;
     // Commas and colons stay readable in an address that is sent.
-    parts.push(`${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",").replaceAll("%3A", ":")}`);
+    parts.push(
+      `${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",").replaceAll("%3A", ":")}`,
+    );
   }
   return parts.length ? `?${parts.join("&")}` : "";
 }

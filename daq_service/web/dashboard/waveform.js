@@ -8,7 +8,6 @@ import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
 /** @typedef {import("./streams.js").Waveform} Waveform */
 
-
 export class SolimonWaveform extends HTMLElement {
   constructor() {
     super();
@@ -28,7 +27,13 @@ export class SolimonWaveform extends HTMLElement {
     this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
-    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Live waveform, table", hidden: true });
+    this.tableBox = el("div", {
+      class: "table-wrap",
+      tabindex: "0",
+      role: "region",
+      "aria-label": "Live waveform, table",
+      hidden: true,
+    });
     this.toggle.addEventListener("click", () => {
       const shown = this.tableBox.hidden;
       this.tableBox.hidden = !shown;
@@ -44,7 +49,12 @@ export class SolimonWaveform extends HTMLElement {
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", "waveform-title");
     this.append(
-      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), el("div", { class: "card-actions" }, this.toggle)),
+      el(
+        "div",
+        { class: "card-head" },
+        el("div", {}, this.heading, this.subtitle),
+        el("div", { class: "card-actions" }, this.toggle),
+      ),
       this.readouts,
       this.box,
       this.tableBox,
@@ -67,7 +77,8 @@ export class SolimonWaveform extends HTMLElement {
 
   /** @param {Waveform} waveform */
   show(waveform) {
-    const sameKind = this.waveform?.header.method === waveform.header.method && this.waveform?.volts.length === waveform.volts.length;
+    const sameKind =
+      this.waveform?.header.method === waveform.header.method && this.waveform?.volts.length === waveform.volts.length;
     this.waveform = waveform;
     this.received = performance.now();
     this.changes += 1;
@@ -75,9 +86,15 @@ export class SolimonWaveform extends HTMLElement {
     this.dataset.samples = String(waveform.volts.length);
     this.emptyText.hidden = true;
     const { header } = waveform;
-    setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
+    setText(
+      this.subtitle,
+      `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
+    );
     this.fillReadouts();
-    this.box.setAttribute("aria-label", `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`);
+    this.box.setAttribute(
+      "aria-label",
+      `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`,
+    );
     if (this.plot && sameKind) this.plot.setData([waveform.micros, waveform.volts]);
     else this.draw();
     if (!this.tableBox.hidden) this.fillTable();
@@ -90,7 +107,10 @@ export class SolimonWaveform extends HTMLElement {
       for (const pulse of PULSES) {
         const time = header.marks[pulse.time];
         const height = header.marks[pulse.height];
-        groups.push([`${pulse.name} (${pulse.long})`, time === null ? NONE : `${quantity(time, 1e6, 1, "µs")} · ${quantity(height, 1, 3, "V")}`]);
+        groups.push([
+          `${pulse.name} (${pulse.long})`,
+          time === null ? NONE : `${quantity(time, 1e6, 1, "µs")} · ${quantity(height, 1, 3, "V")}`,
+        ]);
       }
       const { isw_time_s: isw, psw_time_s: psw, isw_amplitude_v: a, psw_amplitude_v: b } = header.marks;
       groups.push(["Peak to peak, PSW − ISW", isw === null || psw === null ? NONE : quantity(psw - isw, 1e6, 2, "µs")]);
@@ -98,9 +118,14 @@ export class SolimonWaveform extends HTMLElement {
     } else {
       let peak = 0;
       for (const value of volts) peak = Math.max(peak, Math.abs(value));
-      groups.push(["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`], ["Largest amplitude", quantity(peak, 1, 3, "V")]);
+      groups.push(
+        ["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`],
+        ["Largest amplitude", quantity(peak, 1, 3, "V")],
+      );
     }
-    this.readouts.replaceChildren(...groups.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+    this.readouts.replaceChildren(
+      ...groups.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+    );
   }
 
   fillTable() {
@@ -111,8 +136,21 @@ export class SolimonWaveform extends HTMLElement {
     for (let k = 0; k < volts.length; k += step) {
       body.append(el("tr", {}, el("td", { text: micros[k].toFixed(2) }), el("td", { text: volts[k].toFixed(4) })));
     }
-    const head = el("tr", {}, el("th", { scope: "col", text: "Time from the trigger (µs)" }), el("th", { scope: "col", text: "Sensor voltage (V)" }));
-    this.tableBox.replaceChildren(el("table", {}, el("caption", { text: `Every ${step}th of ${volts.length} samples; all of them are in the API` }), el("thead", {}, head), body));
+    const head = el(
+      "tr",
+      {},
+      el("th", { scope: "col", text: "Time from the trigger (µs)" }),
+      el("th", { scope: "col", text: "Sensor voltage (V)" }),
+    );
+    this.tableBox.replaceChildren(
+      el(
+        "table",
+        {},
+        el("caption", { text: `Every ${step}th of ${volts.length} samples; all of them are in the API` }),
+        el("thead", {}, head),
+        body,
+      ),
+    );
   }
 
   /** @param {KeyboardEvent} event */
@@ -121,7 +159,10 @@ export class SolimonWaveform extends HTMLElement {
     const step = steps[event.key];
     if (step === undefined || !this.plot) return;
     event.preventDefault();
-    const left = Math.max(0, (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3);
+    const left = Math.max(
+      0,
+      (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3,
+    );
     this.plot.setCursor({ left: Math.min(left, this.plot.over.clientWidth), top: this.plot.over.clientHeight / 2 });
   }
 
@@ -165,7 +206,12 @@ export class SolimonWaveform extends HTMLElement {
             (/** @type {any} */ u) => {
               const index = u.cursor.idx;
               const waveform = this.waveform;
-              setText(this.readout, waveform && index !== null && index !== undefined ? `${waveform.micros[index].toFixed(2)} µs · ${waveform.volts[index].toFixed(4)} V` : "");
+              setText(
+                this.readout,
+                waveform && index !== null && index !== undefined
+                  ? `${waveform.micros[index].toFixed(2)} µs · ${waveform.volts[index].toFixed(4)} V`
+                  : "",
+              );
             },
           ],
         },
@@ -185,6 +231,12 @@ export class SolimonWaveform extends HTMLElement {
   snapshot() {
     return this.waveform === null
       ? null
-      : { header: structuredClone(this.waveform.header), volts: [...this.waveform.volts], micros: [...this.waveform.micros], changes: this.changes, drawn: Boolean(this.plot) };
+      : {
+          header: structuredClone(this.waveform.header),
+          volts: [...this.waveform.volts],
+          micros: [...this.waveform.micros],
+          changes: this.changes,
+          drawn: Boolean(this.plot),
+        };
   }
 }

@@ -19,12 +19,22 @@ const SAME_H = 1e-6;
  * @returns {Promise<Baseline[]>}
  */
 export async function readBaselines(position, method, baseline_h, previous = [], base = BASE) {
-  const rows = method === "pulse_echo" ? [{ from_h: 0, to_h: baseline_h, state: "collecting" }] : (await get(`/baselines?position=${position}`, base)).items;
+  const rows =
+    method === "pulse_echo"
+      ? [{ from_h: 0, to_h: baseline_h, state: "collecting" }]
+      : (await get(`/baselines?position=${position}`, base)).items;
   return Promise.all(
     rows.map(async (/** @type {any} */ row) => {
       const { from_h, to_h, name, state } = row;
-      const same = previous.find((baseline) => baseline.row.name === name && baseline.row.state === state && state !== "collecting");
-      return { from_h, row, trend: same?.trend ?? (await trend(position, undefined, { from_h: from_h - SAME_H, to_h: to_h + SAME_H }, base)) };
+      const same = previous.find(
+        (baseline) => baseline.row.name === name && baseline.row.state === state && state !== "collecting",
+      );
+      return {
+        from_h,
+        row,
+        trend:
+          same?.trend ?? (await trend(position, undefined, { from_h: from_h - SAME_H, to_h: to_h + SAME_H }, base)),
+      };
     }),
   );
 }

@@ -25,8 +25,16 @@ export function gapRanges(gaps) {
   for (const row of gaps) {
     const label = row.state === "retired" ? "retired" : String(row.cause).startsWith("held") ? "held" : "missed";
     const last = ranges.at(-1);
-    if (last && last.label === label && last.set_index + 1 === row.set_index) Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
-    else ranges.push({ from_h: row.due_h, to_h: row.due_h, label, tone: label === "retired" ? "alarm" : "warn", set_index: row.set_index });
+    if (last && last.label === label && last.set_index + 1 === row.set_index)
+      Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
+    else
+      ranges.push({
+        from_h: row.due_h,
+        to_h: row.due_h,
+        label,
+        tone: label === "retired" ? "alarm" : "warn",
+        set_index: row.set_index,
+      });
   }
   return ranges.map(({ from_h, to_h, label, tone }) => ({ from_h, to_h, label, tone }));
 }
@@ -45,14 +53,29 @@ export class Board {
     this.loader = loader;
     this.others = others;
     const chart = (/** @type {string} */ id) => /** @type {SolimonChart} */ (byId(id));
-    this.charts = { distance: chart("distance"), chart: chart("chart"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
-    this.charts.distance.configure({ title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" }, host);
-    this.charts.chart.configure({ title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" }, host);
+    this.charts = {
+      distance: chart("distance"),
+      chart: chart("chart"),
+      tof: chart("tof"),
+      amplitudeRatio: chart("amplitude-ratio"),
+      thickness: chart("thickness"),
+      feature: chart("feature"),
+    };
+    this.charts.distance.configure(
+      { title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" },
+      host,
+    );
+    this.charts.chart.configure(
+      { title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" },
+      host,
+    );
     this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
     this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
     this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo record yet" }, host);
     this.charts.feature.configure({ title: "Any feature", empty: "No set yet" }, host);
-    this.choice = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Feature of this chart" }));
+    this.choice = /** @type {HTMLSelectElement} */ (
+      el("select", { class: "field small", "aria-label": "Feature of this chart" })
+    );
     this.choice.addEventListener("change", () => onFeature(this.choice.value));
     this.charts.feature.actions.prepend(this.choice);
     this.offered = "";
@@ -78,9 +101,13 @@ export class Board {
 
   /** Positions of this test that are drawn. @param {View} view @param {string} charted position of the solitary-wave charts */
   drawn(view, charted) {
-    const probes = this.loader.info.positions.filter((/** @type {any} */ positionInfo) => positionInfo.method === "pulse_echo").map((/** @type {any} */ positionInfo) => positionInfo.position);
+    const probes = this.loader.info.positions
+      .filter((/** @type {any} */ positionInfo) => positionInfo.method === "pulse_echo")
+      .map((/** @type {any} */ positionInfo) => positionInfo.position);
     const probe = probes.includes(view.position) ? view.position : probes[0];
-    const over = view.compare.filter((position) => position !== charted && this.loader.positionInfo(position)?.method === "solitary_wave");
+    const over = view.compare.filter(
+      (position) => position !== charted && this.loader.positionInfo(position)?.method === "solitary_wave",
+    );
     return { probe, over, all: [charted, ...over, ...(probe ? [probe] : [])] };
   }
 
@@ -89,7 +116,8 @@ export class Board {
     if (!this.loader.info) return;
     this.offer(view.feature);
     const { probe, over } = this.drawn(view, charted);
-    const others = (/** @type {string} */ method) => view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
+    const others = (/** @type {string} */ method) =>
+      view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
     const waves = [charted, ...over, ...others("solitary_wave")];
     this.charts.thickness.hidden = !probe;
     if (this.loader.trends.has(charted)) {
@@ -98,7 +126,15 @@ export class Board {
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
-    if (probe && this.loader.trends.has(probe)) this.draw(this.charts.thickness, view, [probe, ...others("pulse_echo")], "thickness_m", "thickness_mm", "thickness");
+    if (probe && this.loader.trends.has(probe))
+      this.draw(
+        this.charts.thickness,
+        view,
+        [probe, ...others("pulse_echo")],
+        "thickness_m",
+        "thickness_mm",
+        "thickness",
+      );
     const ofProbe = probe && view.feature in (this.loader.baseline(probe)?.units ?? {});
     const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
     if (this.trend(shown[0])?.columns[view.feature]) {
@@ -118,7 +154,15 @@ export class Board {
     const offered = JSON.stringify([...groups]);
     if (offered !== this.offered) {
       this.offered = offered;
-      this.choice.replaceChildren(...[...groups].map(([method, names]) => el("optgroup", { label: method.replace("_", " ") }, ...names.map((/** @type {string} */ name) => el("option", { value: name, text: featureLabel(name) })))));
+      this.choice.replaceChildren(
+        ...[...groups].map(([method, names]) =>
+          el(
+            "optgroup",
+            { label: method.replace("_", " ") },
+            ...names.map((/** @type {string} */ name) => el("option", { value: name, text: featureLabel(name) })),
+          ),
+        ),
+      );
     }
     this.choice.value = feature;
   }
@@ -139,9 +183,12 @@ export class Board {
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
-      const scale = relative ? relativeTo(this.baselines(position), field) : (/** @type {number} */ value) => value * factor;
+      const scale = relative
+        ? relativeTo(this.baselines(position), field)
+        : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
-      const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(scaled(values, columns[k].due_h, scale), rows[k]);
+      const inUnit = (/** @type {(number | null)[]} */ values) =>
+        onAxis(scaled(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
@@ -154,10 +201,20 @@ export class Board {
         y: inUnit(columns[k][field]),
         position,
         // A bin opens its outlier, if it has one.
-        sets: onAxis(trends[k].bins ? columns[k].set_index.map((/** @type {number} */ set, /** @type {number} */ row) => trends[k].bins.first_outlier_set_index[row] ?? set) : columns[k].set_index, rows[k]),
+        sets: onAxis(
+          trends[k].bins
+            ? columns[k].set_index.map(
+                (/** @type {number} */ set, /** @type {number} */ row) =>
+                  trends[k].bins.first_outlier_set_index[row] ?? set,
+              )
+            : columns[k].set_index,
+          rows[k],
+        ),
         firsts: onAxis(columns[k].set_index, rows[k]),
         step: trends[k].bin_sets,
-        ...(trends[k].bins?.minimum[field] ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) } : {}),
+        ...(trends[k].bins?.minimum[field]
+          ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
+          : {}),
         quality: onAxis(columns[k].quality, rows[k]),
       });
     });
@@ -168,10 +225,29 @@ export class Board {
   context(view, positions) {
     const { info } = this.loader;
     const [position] = positions;
-    const alarms = this.loader.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
+    const alarms = this.loader.alarms
+      .filter((alarm) => positions.includes(alarm.position))
+      .map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
-    const of = { method: this.loader.positionInfo(position).method, positions: positions.filter((one) => !isOther(one)) };
-    return { of, ranges: [...baselineRanges(this.baselines(position)), ...notesOn(this.loader.notes, positions), ...positions.flatMap((one) => [...gapRanges(this.loader.gaps.get(one) ?? []), ...confirmationRanges(this.loader.confirmations.get(one) ?? [])])], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
+    const of = {
+      method: this.loader.positionInfo(position).method,
+      positions: positions.filter((one) => !isOther(one)),
+    };
+    return {
+      of,
+      ranges: [
+        ...baselineRanges(this.baselines(position)),
+        ...notesOn(this.loader.notes, positions),
+        ...positions.flatMap((one) => [
+          ...gapRanges(this.loader.gaps.get(one) ?? []),
+          ...confirmationRanges(this.loader.confirmations.get(one) ?? []),
+        ]),
+      ],
+      alarms,
+      opened,
+      endHour: info.schedule.end_h,
+      at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}`,
+    };
   }
 
   /** Return the hour of a set; null: it has not been read. @param {string} position @param {number} index */
@@ -187,31 +263,86 @@ export class Board {
     const { lines, x, scales, relative, unit, digits, factor } = this.lines(view, positions, field, key, short);
     const { at, of, ...context } = this.context(view, positions);
     const fit = this.loader.fits.get(`${positions[0]} ${field}`);
-    if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
+    if (fit && (!relative || lines[0].y.some((value) => value !== null)))
+      lines.push({
+        key: "fit",
+        label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit",
+        short: "fit",
+        color: "--fit",
+        points: false,
+        dash: [7, 4],
+        y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
+      });
     // There is no room for more at the axis.
     const [label] = chart.options.title.split(",");
     const name = relative ? `${label}, change (%)` : unit ? `${label} (${unit})` : label;
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
-    const remark = relative ? `relative to each position's own baseline${this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : ""}` : fit ? equation(fit, factor, unit) : "";
-    chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, remark].filter(Boolean).join(" · "), exported: { fields: [field], ...of }, ...context });
+    const remark = relative
+      ? `relative to each position's own baseline${this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : ""}`
+      : fit
+        ? equation(fit, factor, unit)
+        : "";
+    chart.update({
+      x,
+      lines,
+      name,
+      unit,
+      digits,
+      subtitle: [at, bins, remark].filter(Boolean).join(" · "),
+      exported: { fields: [field], ...of },
+      ...context,
+    });
   }
 
   /** @param {View} view @param {string[]} positions */
   distance(view, positions) {
     const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
-    lines.forEach((line) => (line.outlier = onAxis(this.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
+    lines.forEach(
+      (line) =>
+        (line.outlier = onAxis(
+          this.trend(/** @type {string} */ (line.position)).columns.outlier,
+          rows[lines.indexOf(line)],
+        )),
+    );
     const { at, of: source, ...context } = this.context(view, positions);
     const { columns } = this.trend(positions[0]);
     const { limits } = this.loader.info;
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
     lines.push(
-      { key: "limit_f", label: `predictive F limit${of}`, short: "F limit", color: "--limit", points: false, y: onAxis(columns.limit_f, rows[0]) },
-      { key: "limit_paper", label: `paper's mean + 3 SD limit${of}`, short: "paper's limit", color: "--limit-other", points: false, dash: [2, 4], y: onAxis(columns.limit_paper, rows[0]) },
+      {
+        key: "limit_f",
+        label: `predictive F limit${of}`,
+        short: "F limit",
+        color: "--limit",
+        points: false,
+        y: onAxis(columns.limit_f, rows[0]),
+      },
+      {
+        key: "limit_paper",
+        label: `paper's mean + 3 SD limit${of}`,
+        short: "paper's limit",
+        color: "--limit-other",
+        points: false,
+        dash: [2, 4],
+        y: onAxis(columns.limit_paper, rows[0]),
+      },
     );
     const rule = limits.decides_by === "k_of_n" ? `alarm at ${limits.k} of ${limits.n}` : "the chart decides";
-    const deciding = limits.deciding === "f_predictive" ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)` : `outlier beyond ${limits.deciding}`;
-    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · ${rule}`, exported: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...source }, ...context });
+    const deciding =
+      limits.deciding === "f_predictive"
+        ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)`
+        : `outlier beyond ${limits.deciding}`;
+    this.charts.distance.update({
+      x,
+      lines,
+      name: "Squared distance D²",
+      unit,
+      digits: 2,
+      subtitle: `${at} · ${deciding} · ${rule}`,
+      exported: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...source },
+      ...context,
+    });
   }
 
   /** Draw the control chart, which averages over sets, and its limit. @param {View} view @param {string[]} positions */
@@ -221,8 +352,25 @@ export class Board {
     const { limits } = this.loader.info;
     const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.chart ?? null);
     const values = this.trend(positions[0]).columns.chart ?? [];
-    if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null)) lines.push({ key: "limit_chart", label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`, short: "limit", color: "--limit", points: false, y: limit });
+    if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
+      lines.push({
+        key: "limit_chart",
+        label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`,
+        short: "limit",
+        color: "--limit",
+        points: false,
+        y: limit,
+      });
     const rule = limits.decides_by === "chart" ? "it decides" : `a view: alarm at ${limits.k} of ${limits.n} sets`;
-    this.charts.chart.update({ x, lines, name: "Chart", unit, digits: 2, subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`, exported: { fields: ["chart"], ...source }, ...context });
+    this.charts.chart.update({
+      x,
+      lines,
+      name: "Chart",
+      unit,
+      digits: 2,
+      subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`,
+      exported: { fields: ["chart"], ...source },
+      ...context,
+    });
   }
 }

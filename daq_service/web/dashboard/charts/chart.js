@@ -38,7 +38,19 @@ import { dataOf, makePlot, fullSpan } from "./plot.js";
 
 const MAX_TABLE_ROWS = 500;
 /** @type {Series} */
-const NOTHING = { x: [], lines: [], name: "", unit: "", digits: 0, ranges: [], alarms: [], opened: null, subtitle: "", endHour: 1, exported: null };
+const NOTHING = {
+  x: [],
+  lines: [],
+  name: "",
+  unit: "",
+  digits: 0,
+  ranges: [],
+  alarms: [],
+  opened: null,
+  subtitle: "",
+  endHour: 1,
+  exported: null,
+};
 
 export class SolimonChart extends HTMLElement {
   constructor() {
@@ -85,12 +97,20 @@ export class SolimonChart extends HTMLElement {
     this.heading.id = `${this.id}-title`;
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
-    this.actions.append(exportMenu(options.title, () => this.series.exported && chartOffer(this.series.exported, host.span())));
+    this.actions.append(
+      exportMenu(options.title, () => this.series.exported && chartOffer(this.series.exported, host.span())),
+    );
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     this.canvasBox.setAttribute("aria-label", `${options.title}. ${this.emptyText.textContent}`);
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", this.heading.id);
-    this.append(el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions), this.readout, this.canvasBox, this.tableBox, this.legend);
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions),
+      this.readout,
+      this.canvasBox,
+      this.tableBox,
+      this.legend,
+    );
   }
 
   /** Set the title to the feature that it shows now. @param {string} title */
@@ -117,12 +137,33 @@ export class SolimonChart extends HTMLElement {
     setText(this.emptyText, this.options.empty);
     this.emptyText.hidden = series.x.length > 0;
     const last = series.x.length - 1;
-    this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set, n notes something. ${last >= 0 ? this.describe(last) : this.options.empty}`);
+    this.canvasBox.setAttribute(
+      "aria-label",
+      `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set, n notes something. ${last >= 0 ? this.describe(last) : this.options.empty}`,
+    );
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
-    const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
+    const made = JSON.stringify([
+      series.name,
+      this.host.timeline().label,
+      series.lines.map((line) => [line.key, line.label, line.color]),
+    ]);
     if (made !== this.made) {
-      const outlier = series.lines.some((line) => line.outlier) ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")] : [];
-      this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points && !line.dash ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
+      const outlier = series.lines.some((line) => line.outlier)
+        ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")]
+        : [];
+      this.legend.replaceChildren(
+        ...series.lines.map((line) =>
+          el(
+            "li",
+            {},
+            swatch(line.color, line.points && !line.dash ? (line.shape ?? 0) : "line", line.dash),
+            line.label,
+          ),
+        ),
+        ...outlier,
+        el("li", {}, swatch("--alarm", "cross"), "bad"),
+        el("li", {}, swatch("--data", "ring"), "suspect"),
+      );
     }
     // Draw last, when all surrounding elements have their size.
     if (!series.x.length) this.destroy();
@@ -154,7 +195,8 @@ export class SolimonChart extends HTMLElement {
       const value = line.y[index];
       if (value !== null && value !== undefined) parts.push(`${line.short} ${this.number(value)}`);
       else if (line === lines[0]) parts.push(`${line.short} ${NONE}`);
-      if (line.quality?.[index] && (line === lines[0] || line.quality[index] !== "good")) parts.push(`quality ${line.quality[index]}`);
+      if (line.quality?.[index] && (line === lines[0] || line.quality[index] !== "good"))
+        parts.push(`quality ${line.quality[index]}`);
       if (line.outlier?.[index]) parts.push("outlier");
     }
     return parts.filter(Boolean).join(" · ");
@@ -184,14 +226,22 @@ export class SolimonChart extends HTMLElement {
       else this.open(lines[0], at);
       return;
     }
-    const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10, Home: -1e9, End: 1e9 });
+    const steps = /** @type {Record<string, number>} */ ({
+      ArrowLeft: -1,
+      ArrowRight: 1,
+      PageUp: -10,
+      PageDown: 10,
+      Home: -1e9,
+      End: 1e9,
+    });
     const step = steps[event.key];
     if (step === undefined) return;
     event.preventDefault();
     this.cursor = Math.max(0, Math.min(x.length - 1, at + step));
     const [from, to] = span();
     const outside = x[this.cursor] < from || x[this.cursor] > to;
-    if (outside) this.host.show(within([x[this.cursor] - (to - from) / 2, x[this.cursor] + (to - from) / 2], full()), true);
+    if (outside)
+      this.host.show(within([x[this.cursor] - (to - from) / 2, x[this.cursor] + (to - from) / 2], full()), true);
     this.point(this.cursor);
   }
 
@@ -199,7 +249,11 @@ export class SolimonChart extends HTMLElement {
   point(index) {
     const { x, lines } = this.series;
     const value = lines[0].y[index];
-    this.plot.setCursor({ left: this.plot.valToPos(x[index], "x"), top: value === null ? 0 : this.plot.valToPos(value, "y") }, true, true);
+    this.plot.setCursor(
+      { left: this.plot.valToPos(x[index], "x"), top: value === null ? 0 : this.plot.valToPos(value, "y") },
+      true,
+      true,
+    );
   }
 
   /** Open the set whose point is closest to the pointer. @param {any} plot */
@@ -232,14 +286,21 @@ export class SolimonChart extends HTMLElement {
     const [from, to] = this.host.span() ?? [-Infinity, Infinity];
     const rows = [...x.keys()].filter((k) => x[k] >= from && x[k] < to).reverse();
     for (const k of rows.slice(0, MAX_TABLE_ROWS)) {
-      const openButton = el("button", { class: "link", type: "button", text: fixed(x[k], 1), "aria-label": `Open the set of hour ${fixed(x[k], 1)}` });
+      const openButton = el("button", {
+        class: "link",
+        type: "button",
+        text: fixed(x[k], 1),
+        "aria-label": `Open the set of hour ${fixed(x[k], 1)}`,
+      });
       openButton.addEventListener("click", () => this.open(first, k));
       const row = el("tr", {}, el("td", {}, openButton));
       for (const line of shown) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
       if (first.quality) row.append(el("td", { text: first.quality[k] ?? NONE }));
       body.append(row);
     }
-    const caption = el("caption", { text: `${this.options.title}: ${rows.length > MAX_TABLE_ROWS ? `the newest ${MAX_TABLE_ROWS} of ` : ""}${rows.length} sets, newest first` });
+    const caption = el("caption", {
+      text: `${this.options.title}: ${rows.length > MAX_TABLE_ROWS ? `the newest ${MAX_TABLE_ROWS} of ` : ""}${rows.length} sets, newest first`,
+    });
     this.tableBox.replaceChildren(el("table", {}, caption, el("thead", {}, head), body));
   }
 
@@ -271,7 +332,13 @@ export class SolimonChart extends HTMLElement {
       },
       onClick: (/** @type {any} */ plot) => this.openNearest(plot),
     };
-    ({ plot: this.plot, detach: this.detach } = makePlot(this.canvasBox, this.options, this.host, () => this.series, handlers));
+    ({ plot: this.plot, detach: this.detach } = makePlot(
+      this.canvasBox,
+      this.options,
+      this.host,
+      () => this.series,
+      handlers,
+    ));
   }
 
   /** Return copies of what is drawn, for tests and the console. */

@@ -15,12 +15,17 @@ export class Comparison {
     this.go = go;
     this.root = byId("others");
     this.list = el("ul", { class: "compared" });
-    this.choice = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Draw a series of another test" }));
+    this.choice = /** @type {HTMLSelectElement} */ (
+      el("select", { class: "field small", "aria-label": "Draw a series of another test" })
+    );
     this.root.append(this.choice, this.list);
     /** @type {string[]} */
     this.compare = [];
     this.builtFrom = "";
-    this.choice.addEventListener("change", () => this.choice.value && go({ compare: [...this.compare, this.choice.value] }));
+    this.choice.addEventListener(
+      "change",
+      () => this.choice.value && go({ compare: [...this.compare, this.choice.value] }),
+    );
     setInterval(() => this.tick(), TICK_MS);
   }
 
@@ -30,8 +35,19 @@ export class Comparison {
     const chosen = view.compare.filter(isOther);
     const { others } = this;
     this.root.hidden = !others.items.length && !chosen.length;
-    const states = chosen.map((entry) => [entry, others.listed(entry)?.standing?.recorder, others.positionInfo(entry)?.state, others.errors.get(entry)]);
-    const offered = others.items.filter((item) => item.standing).map((item) => [item.test, item.name, item.standing.positions.map((/** @type {any} */ positionInfo) => [positionInfo.position, positionInfo.label])]);
+    const states = chosen.map((entry) => [
+      entry,
+      others.listed(entry)?.standing?.recorder,
+      others.positionInfo(entry)?.state,
+      others.errors.get(entry),
+    ]);
+    const offered = others.items
+      .filter((item) => item.standing)
+      .map((item) => [
+        item.test,
+        item.name,
+        item.standing.positions.map((/** @type {any} */ positionInfo) => [positionInfo.position, positionInfo.label]),
+      ]);
     const builtFrom = JSON.stringify([states, offered]);
     if (builtFrom !== this.builtFrom) {
       this.builtFrom = builtFrom;
@@ -44,8 +60,17 @@ export class Comparison {
   /** @param {any[]} offered @param {string[]} chosen */
   offer(offered, chosen) {
     const groups = offered.map(([test, name, positions]) => {
-      const options = positions.map((/** @type {string[]} */ [position, label]) => ({ value: `${test}:${position}`, text: `${position} · ${label}` }));
-      return el("optgroup", { label: `${name} (${test})` }, ...options.filter((/** @type {{value: string}} */ { value }) => !chosen.includes(value)).map((/** @type {{value: string, text: string}} */ option) => el("option", option)));
+      const options = positions.map((/** @type {string[]} */ [position, label]) => ({
+        value: `${test}:${position}`,
+        text: `${position} · ${label}`,
+      }));
+      return el(
+        "optgroup",
+        { label: `${name} (${test})` },
+        ...options
+          .filter((/** @type {{value: string}} */ { value }) => !chosen.includes(value))
+          .map((/** @type {{value: string, text: string}} */ option) => el("option", option)),
+      );
     });
     this.choice.replaceChildren(el("option", { value: "", text: "With another test …" }), ...groups);
     this.choice.value = "";
@@ -55,14 +80,20 @@ export class Comparison {
   row(entry) {
     const { others } = this;
     const positionInfo = others.positionInfo(entry);
-    const removeButton = el("button", { class: "button ghost small", type: "button", text: "Take out", "aria-label": `Take out ${nameOf(entry)}` });
+    const removeButton = el("button", {
+      class: "button ghost small",
+      type: "button",
+      text: "Take out",
+      "aria-label": `Take out ${nameOf(entry)}`,
+    });
     removeButton.addEventListener("click", () => {
       this.choice.focus();
       this.go({ compare: this.compare.filter((one) => one !== entry) });
     });
     const row = el("li", {}, swatch("--ink", "line", [5, 4]), el("strong", { text: nameOf(entry) }));
     row.dataset.entry = entry;
-    if (positionInfo) row.append(chip(STATES[positionInfo.state]), chip(RECORDER[others.listed(entry).standing.recorder]));
+    if (positionInfo)
+      row.append(chip(STATES[positionInfo.state]), chip(RECORDER[others.listed(entry).standing.recorder]));
     row.append(el("span", { class: "quiet small compared-age" }), removeButton);
     return row;
   }
@@ -72,9 +103,14 @@ export class Comparison {
       const entry = /** @type {HTMLElement} */ (row).dataset.entry ?? "";
       const { others } = this;
       const [listed, positionInfo] = [others.listed(entry), others.positionInfo(entry)];
-      const age = positionInfo ? ageText(listed.standing, positionInfo, listed.looked_age_s + (performance.now() - others.readAt) / 1000) : "";
+      const age = positionInfo
+        ? ageText(listed.standing, positionInfo, listed.looked_age_s + (performance.now() - others.readAt) / 1000)
+        : "";
       const trouble = others.errors.get(entry);
-      setText(/** @type {Element} */ (row.querySelector(".compared-age")), [age, trouble && `not read: ${trouble}`].filter(Boolean).join(" · ") || "reading");
+      setText(
+        /** @type {Element} */ (row.querySelector(".compared-age")),
+        [age, trouble && `not read: ${trouble}`].filter(Boolean).join(" · ") || "reading",
+      );
     }
   }
 }

@@ -85,7 +85,10 @@ export function attach(over, axis) {
   );
   /** @type {Map<number, number>} where each finger is */
   const fingers = new Map();
-  over.addEventListener("pointerdown", (event) => event.pointerType === "touch" && fingers.set(event.pointerId, event.clientX));
+  over.addEventListener(
+    "pointerdown",
+    (event) => event.pointerType === "touch" && fingers.set(event.pointerId, event.clientX),
+  );
   over.addEventListener("pointermove", (event) => {
     const before = fingers.get(event.pointerId);
     if (before === undefined) return;
@@ -98,6 +101,7 @@ export function attach(over, axis) {
       axis.show(zoomed(span, axis.full(), Math.abs(before - others[0]) / wide, valueAt(others[0], span)));
     }
   });
-  for (const name of ["pointerup", "pointercancel"]) over.addEventListener(name, (event) => fingers.delete(/** @type {PointerEvent} */ (event).pointerId));
+  for (const name of ["pointerup", "pointercancel"])
+    over.addEventListener(name, (event) => fingers.delete(/** @type {PointerEvent} */ (event).pointerId));
   return () => document.removeEventListener("scroll", onScroll);
 }

@@ -57,7 +57,13 @@ export function drawPoints(u, x, line) {
   const [from, to] = u.series[0].idxs ?? [0, x.length - 1];
   const r = (to - from > 250 ? 1.9 : 2.5) * devicePixelRatio;
   const shape = SHAPES[(line.shape ?? 0) % SHAPES.length];
-  const paths = { good: new Path2D(), suspect: new Path2D(), bad: new Path2D(), outlier: new Path2D(), spread: new Path2D() };
+  const paths = {
+    good: new Path2D(),
+    suspect: new Path2D(),
+    bad: new Path2D(),
+    outlier: new Path2D(),
+    spread: new Path2D(),
+  };
   for (let k = from; k <= to; k++) {
     const value = line.y[k];
     const quality = line.quality?.[k];
@@ -141,7 +147,8 @@ export function drawMoments(u, alarms, opened) {
   clipped(u, (ctx) => {
     ctx.fillStyle = color("--alarm");
     const path = new Path2D();
-    for (const hour of alarms) polygon([0, 1, 1, -0.8, -1, -0.8])(path, u.valToPos(hour, "x", true), bbox.top + 5 * ratio, 5 * ratio);
+    for (const hour of alarms)
+      polygon([0, 1, 1, -0.8, -1, -0.8])(path, u.valToPos(hour, "x", true), bbox.top + 5 * ratio, 5 * ratio);
     ctx.fill(path);
     if (opened === null) return;
     const px = u.valToPos(opened, "x", true);

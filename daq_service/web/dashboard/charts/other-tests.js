@@ -73,7 +73,9 @@ export class OtherTests {
 
   /** @param {string} entry @returns {any} state of its position */
   positionInfo(entry) {
-    return this.listed(entry)?.standing?.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === parseEntry(entry).position);
+    return this.listed(entry)?.standing?.positions.find(
+      (/** @type {any} */ positionInfo) => positionInfo.position === parseEntry(entry).position,
+    );
   }
 
   /** Read regularly, each time after the last answers. */
@@ -111,12 +113,21 @@ export class OtherTests {
     try {
       const base = baseOf(test);
       const { schedule } = await get("/info", base);
-      const baselines = await readBaselines(position, positionInfo.method, schedule.baseline_h, this.baselines.get(entry), base);
+      const baselines = await readBaselines(
+        position,
+        positionInfo.method,
+        schedule.baseline_h,
+        this.baselines.get(entry),
+        base,
+      );
       this.baselines.set(entry, baselines);
       const fields = [...FIELDS[positionInfo.method]];
-      if (this.feature in baselines[baselines.length - 1].trend.columns && !fields.includes(this.feature)) fields.push(this.feature);
+      if (this.feature in baselines[baselines.length - 1].trend.columns && !fields.includes(this.feature))
+        fields.push(this.feature);
       const { span } = this;
-      const wide = span ? { from_h: Math.max(0, span[0] - (span[1] - span[0]) / 2), to_h: span[1] + (span[1] - span[0]) / 2 } : {};
+      const wide = span
+        ? { from_h: Math.max(0, span[0] - (span[1] - span[0]) / 2), to_h: span[1] + (span[1] - span[0]) / 2 }
+        : {};
       const found = await trend(position, fields, wide, base);
       if (!this.chosen.includes(entry)) return;
       this.trends.set(entry, found);

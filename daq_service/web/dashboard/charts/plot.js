@@ -54,19 +54,34 @@ export function axisLook() {
 /** @param {import("./series.js").Line} line @param {() => Series} series */
 function lineOptions(line, series) {
   const stroke = color(line.color);
-  const gaps = (/** @type {any} */ u, /** @type {number} */ index, /** @type {number} */ from, /** @type {number} */ to, /** @type {[number, number][]} */ found) => {
+  const gaps = (
+    /** @type {any} */ u,
+    /** @type {number} */ index,
+    /** @type {number} */ from,
+    /** @type {number} */ to,
+    /** @type {[number, number][]} */ found,
+  ) => {
     const { x, lines } = series();
     const drawnLine = lines[index - 1];
     // A plot that was replaced by one with fewer lines may still draw its queue.
     if (!drawnLine?.firsts) return found;
     const all = [...found];
-    for (let k = from + 1; k <= to; k++) if (missing(drawnLine, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
+    for (let k = from + 1; k <= to; k++)
+      if (missing(drawnLine, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
     return all.sort((a, b) => a[0] - b[0]);
   };
   // Points carry the data and are drawn by quality (marks.js); the line only connects them, except for
   // another test, whose line is dashed.
   const leads = line.points && !line.dash;
-  return { label: line.label, stroke: leads ? `${stroke}4d` : stroke, width: leads ? 1 : 2, dash: line.dash, points: { show: false }, spanGaps: false, gaps };
+  return {
+    label: line.label,
+    stroke: leads ? `${stroke}4d` : stroke,
+    width: leads ? 1 : 2,
+    dash: line.dash,
+    points: { show: false },
+    spanGaps: false,
+    gaps,
+  };
 }
 
 /**
@@ -95,11 +110,19 @@ export function makePlot(box, options, host, series, handlers) {
         drag: { x: true, y: false, setScale: false },
         points: { show: false },
         focus: { prox: -1 },
-        sync: { key: CURSOR_KEY, scales: ["x", null], filters: { pub: (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave" } },
+        sync: {
+          key: CURSOR_KEY,
+          scales: ["x", null],
+          filters: { pub: (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave" },
+        },
       },
       scales: {
         x: { time: false, range: span },
-        y: { distr: log ? 3 : 1, range: (/** @type {any} */ u, /** @type {number | null} */ min, /** @type {number | null} */ max) => yRange(log, ...extremes(u, series().lines, min, max)) },
+        y: {
+          distr: log ? 3 : 1,
+          range: (/** @type {any} */ u, /** @type {number | null} */ min, /** @type {number | null} */ max) =>
+            yRange(log, ...extremes(u, series().lines, min, max)),
+        },
       },
       axes: [
         {
@@ -109,7 +132,8 @@ export function makePlot(box, options, host, series, handlers) {
           labelSize: 20,
           ...(dates
             ? {
-                splits: (/** @type {any} */ u) => timeline.splits(u.scales.x.min, u.scales.x.max, u.bbox.width / devicePixelRatio),
+                splits: (/** @type {any} */ u) =>
+                  timeline.splits(u.scales.x.min, u.scales.x.max, u.bbox.width / devicePixelRatio),
                 values: (/** @type {any} */ _u, /** @type {number[]} */ splits) => timeline.values(splits),
               }
             : {}),
@@ -124,7 +148,8 @@ export function makePlot(box, options, host, series, handlers) {
                 filter: decades,
                 grid: { ...axis.grid, filter: decades },
                 ticks: { ...axis.ticks, filter: decades },
-                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) => splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
+                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) =>
+                  splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
               }
             : {}),
         },
@@ -154,7 +179,12 @@ export function makePlot(box, options, host, series, handlers) {
     box,
   );
   const over = /** @type {HTMLElement} */ (plot.over);
-  const detach = attach(over, { span, full, show: (to) => host.show(to, true), centre: () => (span()[0] + span()[1]) / 2 });
+  const detach = attach(over, {
+    span,
+    full,
+    show: (to) => host.show(to, true),
+    centre: () => (span()[0] + span()[1]) / 2,
+  });
   over.addEventListener("mousedown", (event) => void (pressed = event.clientX));
   over.addEventListener("click", (event) => Math.abs(event.clientX - pressed) < CLICK_PX && handlers.onClick(plot));
   return { plot, detach };

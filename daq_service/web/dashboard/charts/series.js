@@ -32,7 +32,15 @@ const COLORS = ["--data", "--second", "--third", "--fourth"];
 export const colorOf = (index) => COLORS[index % COLORS.length];
 
 /** Displayed units: factor, name, digits. @type {Record<string, [number, string, number]>} */
-const SHOWN = { s: [1e6, "µs", 3], m: [1e3, "mm", 3], v: [1, "V", 4], "V s": [1e6, "µV s", 3], V: [1, "V", 4], h: [1, "h", 2], 1: [1, "", 4] };
+const SHOWN = {
+  s: [1e6, "µs", 3],
+  m: [1e3, "mm", 3],
+  v: [1, "V", 4],
+  "V s": [1e6, "µV s", 3],
+  V: [1, "V", 4],
+  h: [1, "h", 2],
+  1: [1, "", 4],
+};
 
 /** @param {string} unit of the API @returns {{factor: number, unit: string, digits: number}} */
 export function shownUnit(unit) {
@@ -54,9 +62,13 @@ export function scaled(values, hours, scale) {
 export function baselineMean(trend, field) {
   const { columns, method } = trend;
   // A probe has no frozen baseline: each good measurement of these hours counts.
-  const counts = (/** @type {unknown} */ _, /** @type {number} */ k) => columns[field][k] !== null && (method === "pulse_echo" ? columns.quality[k] === "good" : columns.in_baseline[k] === true);
+  const counts = (/** @type {unknown} */ _, /** @type {number} */ k) =>
+    columns[field][k] !== null &&
+    (method === "pulse_echo" ? columns.quality[k] === "good" : columns.in_baseline[k] === true);
   const values = columns[field].filter(counts);
-  return values.length ? values.reduce((/** @type {number} */ sum, /** @type {number} */ value) => sum + value, 0) / values.length : null;
+  return values.length
+    ? values.reduce((/** @type {number} */ sum, /** @type {number} */ value) => sum + value, 0) / values.length
+    : null;
 }
 
 /** Return a scale in percent relative to the baseline in force; null without one. @param {import("./baselines.js").Baseline[]} baselines @param {string} field @returns {Scale} */
@@ -76,7 +88,8 @@ export function relativeTo(baselines, field) {
  */
 export function mergeHours(hours) {
   const [first, ...others] = hours;
-  if (others.every((one) => one.length === first.length && one.every((hour, k) => hour === first[k]))) return { x: first, rows: hours.map(() => null) };
+  if (others.every((one) => one.length === first.length && one.every((hour, k) => hour === first[k])))
+    return { x: first, rows: hours.map(() => null) };
   const x = [...new Set(hours.flat())].sort((a, b) => a - b);
   return {
     x,
@@ -95,7 +108,9 @@ export function onAxis(column, rows) {
 /** Return whether a set is missing between two points of a line. @param {Line} line @param {number} a @param {number} b rows */
 export function missing({ firsts, step }, a, b) {
   const [before, after] = [firsts?.[a], firsts?.[b]];
-  return before !== null && before !== undefined && after !== null && after !== undefined && after > before + (step ?? 1);
+  return (
+    before !== null && before !== undefined && after !== null && after !== undefined && after > before + (step ?? 1)
+  );
 }
 
 /** @param {any} fit of /fits @param {number[]} x @param {Scale} scale */

@@ -7,11 +7,32 @@ import { isAllowed } from "./session.js";
 const PAGE = 50;
 const PAUSE_KINDS = ["hold", "release"];
 const LOGIN_KINDS = ["enter", "log_in", "log_out", "create_token", "revoke_token"];
-const COMMAND_KINDS = [...PAUSE_KINDS, "retire", "reinstate", "stop", "finish_now", "supply_on", "supply_off", "trust_clock", "acknowledge_alarm", "create_command"];
+const COMMAND_KINDS = [
+  ...PAUSE_KINDS,
+  "retire",
+  "reinstate",
+  "stop",
+  "finish_now",
+  "supply_on",
+  "supply_off",
+  "trust_clock",
+  "acknowledge_alarm",
+  "create_command",
+];
 /** @type {[string, string[]][]} */
-const KINDS = [["Everything", []], ["Holds", PAUSE_KINDS], ["Orders", COMMAND_KINDS], ["Logins and tokens", LOGIN_KINDS]];
+const KINDS = [
+  ["Everything", []],
+  ["Holds", PAUSE_KINDS],
+  ["Orders", COMMAND_KINDS],
+  ["Logins and tokens", LOGIN_KINDS],
+];
 /** Start and end of each range in days before the last midnight, by this browser's clock. @type {[string, number | null, number | null][]} */
-const RANGES = [["Any time", null, null], ["Today", 0, null], ["Yesterday", 1, 0], ["7 days", 6, null]];
+const RANGES = [
+  ["Any time", null, null],
+  ["Today", 0, null],
+  ["Yesterday", 1, 0],
+  ["7 days", 6, null],
+];
 const RESULTS = ["any result", "accepted", "done", "refused", "failed"];
 const COLUMNS = ["When", "Who", "Role", "From", "What", "Result"];
 
@@ -43,18 +64,39 @@ export class Audit {
   constructor() {
     this.root = /** @type {HTMLDetailsElement} */ (byId("audit"));
     this.root.hidden = !isAllowed("list_audit");
-    this.who = /** @type {HTMLInputElement} */ (el("input", { class: "field small", type: "search", placeholder: "anybody", maxlength: "80", "aria-label": "Who" }));
+    this.who = /** @type {HTMLInputElement} */ (
+      el("input", {
+        class: "field small",
+        type: "search",
+        placeholder: "anybody",
+        maxlength: "80",
+        "aria-label": "Who",
+      })
+    );
     this.result = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Result" }));
     for (const [k, text] of RESULTS.entries()) this.result.append(el("option", { value: k === 0 ? "" : text, text }));
     this.status = el("p", { class: "quiet small", role: "status" });
     this.body = el("tbody");
-    this.olderButton = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "Older" }));
-    this.kind = this.choice("Kind", KINDS.map(([word]) => word));
-    this.range = this.choice("When", RANGES.map(([word]) => word));
+    this.olderButton = /** @type {HTMLButtonElement} */ (
+      el("button", { class: "button ghost small", type: "button", text: "Older" })
+    );
+    this.kind = this.choice(
+      "Kind",
+      KINDS.map(([word]) => word),
+    );
+    this.range = this.choice(
+      "When",
+      RANGES.map(([word]) => word),
+    );
     /** @type {string | null} */
     this.cursor = null;
     this.requestNumber = 0;
-    const table = el("table", {}, el("thead", {}, el("tr", {}, ...COLUMNS.map((text) => el("th", { scope: "col", text })))), this.body);
+    const table = el(
+      "table",
+      {},
+      el("thead", {}, el("tr", {}, ...COLUMNS.map((text) => el("th", { scope: "col", text })))),
+      this.body,
+    );
     byId("audit-body").append(
       el("div", { class: "chips" }, this.kind.root, this.range.root, this.who, this.result),
       this.status,
@@ -71,7 +113,9 @@ export class Audit {
   choice(label, labels) {
     const root = el("span", { class: "chips", role: "group", "aria-label": label });
     const group = { root, chosen: 0 };
-    const buttons = labels.map((text, k) => el("button", { class: "button ghost small", type: "button", "aria-pressed": String(k === 0), text }));
+    const buttons = labels.map((text, k) =>
+      el("button", { class: "button ghost small", type: "button", "aria-pressed": String(k === 0), text }),
+    );
     for (const [k, button] of buttons.entries()) {
       button.addEventListener("click", () => {
         group.chosen = k;
@@ -86,7 +130,14 @@ export class Audit {
   /** @param {string | null} cursor null: from the newest on */
   async read(cursor) {
     const [, from, to] = RANGES[this.range.chosen];
-    const filters = { who: this.who.value.trim(), what: KINDS[this.kind.chosen][1].join(","), result: this.result.value, from_utc: midnight(from), to_utc: midnight(to), cursor };
+    const filters = {
+      who: this.who.value.trim(),
+      what: KINDS[this.kind.chosen][1].join(","),
+      result: this.result.value,
+      from_utc: midnight(from),
+      to_utc: midnight(to),
+      cursor,
+    };
     const query = new URLSearchParams({ limit: String(PAGE) });
     for (const [name, value] of Object.entries(filters)) if (value) query.set(name, value);
     const requestNumber = ++this.requestNumber;
@@ -102,7 +153,8 @@ export class Audit {
       const rest = this.cursor === null ? "" : "; there is more before that";
       setText(this.status, `${count || "Nothing"} found${rest}. Times are this computer's.`);
     } catch (error) {
-      if (requestNumber === this.requestNumber) setText(this.status, `The audit cannot be read: ${/** @type {Error} */ (error).message}`);
+      if (requestNumber === this.requestNumber)
+        setText(this.status, `The audit cannot be read: ${/** @type {Error} */ (error).message}`);
     }
   }
 }

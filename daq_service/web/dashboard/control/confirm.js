@@ -23,7 +23,19 @@ import { el, setText } from "../dom.js";
  * @returns {Promise<Record<string, string> | null>} values of the fields; null: canceled
  */
 export function askConfirmation({ title, paragraphs, submitLabel, fields = [] }) {
-  const inputs = fields.map((field) => /** @type {HTMLInputElement} */ (el("input", { id: `confirm-${field.name}`, class: "field", type: "text", autocomplete: "off", maxlength: "200", ...field.input })));
+  const inputs = fields.map(
+    (field) =>
+      /** @type {HTMLInputElement} */ (
+        el("input", {
+          id: `confirm-${field.name}`,
+          class: "field",
+          type: "text",
+          autocomplete: "off",
+          maxlength: "200",
+          ...field.input,
+        })
+      ),
+  );
   const values = () => Object.fromEntries(fields.map((field, k) => [field.name, inputs[k].value.trim()]));
   const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
   const submit = el("button", { class: "button", type: "submit" });
@@ -32,10 +44,14 @@ export function askConfirmation({ title, paragraphs, submitLabel, fields = [] })
     {},
     el("h2", { id: "confirm-title", text: title }),
     el("div", { id: "confirm-text" }, ...paragraphs.map((text) => el("p", { text }))),
-    ...fields.map((field, k) => el("div", { class: "labelled" }, el("label", { for: inputs[k].id, text: field.label }), inputs[k])),
+    ...fields.map((field, k) =>
+      el("div", { class: "labelled" }, el("label", { for: inputs[k].id, text: field.label }), inputs[k]),
+    ),
     el("div", { class: "dialog-actions" }, cancel, submit),
   );
-  const dialog = /** @type {HTMLDialogElement} */ (el("dialog", { id: "confirm", "aria-labelledby": "confirm-title", "aria-describedby": "confirm-text" }, form));
+  const dialog = /** @type {HTMLDialogElement} */ (
+    el("dialog", { id: "confirm", "aria-labelledby": "confirm-title", "aria-describedby": "confirm-text" }, form)
+  );
   const name = () => setText(submit, typeof submitLabel === "string" ? submitLabel : submitLabel(values()));
   name();
   form.addEventListener("input", name);

@@ -12,7 +12,11 @@ const NOTE = { name: "note", label: "Reason (everybody sees it)" };
 
 /** @param {string} name @param {string} label @param {number} value @param {number} maximum */
 function number(name, label, value, maximum) {
-  return { name, label, input: { type: "number", required: true, step: "any", min: "0.001", max: String(maximum), value: String(value) } };
+  return {
+    name,
+    label,
+    input: { type: "number", required: true, step: "any", min: "0.001", max: String(maximum), value: String(value) },
+  };
 }
 
 /** @param {any} supply of /info */
@@ -27,7 +31,13 @@ const QUESTIONS = {
     title: "Stop the test",
     paragraphs: [
       "The recorder ends after the shot that is being taken. From then on nothing is recorded: sets that fall due are missed, and what is stored stays.",
-      ...(supply === null ? [] : [supply.off_at_end ? "The supply is switched off, and does not go on again by itself." : `The supply stays as it is, and goes off after ${duration(supply.unwatched_s)} without a recorder.`]),
+      ...(supply === null
+        ? []
+        : [
+            supply.off_at_end
+              ? "The supply is switched off, and does not go on again by itself."
+              : `The supply stays as it is, and goes off after ${duration(supply.unwatched_s)} without a recorder.`,
+          ]),
       "This page cannot take it back: to go on, somebody starts `solimon run` at the computer.",
     ],
     submitLabel: "Stop the test",
@@ -49,11 +59,17 @@ const QUESTIONS = {
       `At most ${significant(supply.voltage_cap_v)} V and ${significant(supply.current_cap_a)} A are allowed. If it is on already, it takes over these values.`,
     ],
     submitLabel: ({ voltage_v, current_limit_a }) => `Switch on: ${voltage_v} V, at most ${current_limit_a} A`,
-    fields: [number("voltage_v", "Voltage in V", supply.voltage_v, supply.voltage_cap_v), number("current_limit_a", "Current limit in A", supply.current_limit_a, supply.current_cap_a), NOTE],
+    fields: [
+      number("voltage_v", "Voltage in V", supply.voltage_v, supply.voltage_cap_v),
+      number("current_limit_a", "Current limit in A", supply.current_limit_a, supply.current_cap_a),
+      NOTE,
+    ],
   }),
   supply_off: () => ({
     title: "Switch the supply off",
-    paragraphs: ["Corrosion ends. The supply stays off, over restarts too, until somebody switches it on here or with `solimon supply --on`."],
+    paragraphs: [
+      "Corrosion ends. The supply stays off, over restarts too, until somebody switches it on here or with `solimon supply --on`.",
+    ],
     submitLabel: "Switch off",
     fields: [NOTE],
   }),
@@ -74,11 +90,14 @@ export class RunControl {
   /** @param {any} info @param {any[]} transducers @param {string} recorder */
   update(info, transducers, recorder) {
     this.info = info;
-    const disabled = new Set(transducers.filter(({ retired_because: reason }) => reason !== null).map((one) => one.position));
+    const disabled = new Set(
+      transducers.filter(({ retired_because: reason }) => reason !== null).map((one) => one.position),
+    );
     const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
     this.root.hidden = !acceptsCommands;
     this.offer("stop", "Stop the test");
-    for (const { position, method } of info.positions) if (method === "solitary_wave") this.offer("retire", `Retire ${position}`, position, disabled.has(position));
+    for (const { position, method } of info.positions)
+      if (method === "solitary_wave") this.offer("retire", `Retire ${position}`, position, disabled.has(position));
     if (info.supply !== null) {
       this.offer("supply_on", "Supply on, or its limits");
       this.offer("supply_off", "Supply off");
@@ -91,7 +110,15 @@ export class RunControl {
     const key = `${kind} ${position}`;
     let button = this.buttons.get(key);
     if (!button) {
-      button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", disabled: !isAllowed(kind), "aria-describedby": "control-reason", text: label }));
+      button = /** @type {HTMLButtonElement} */ (
+        el("button", {
+          class: "button ghost",
+          type: "button",
+          disabled: !isAllowed(kind),
+          "aria-describedby": "control-reason",
+          text: label,
+        })
+      );
       button.addEventListener("click", () => void this.ask(kind, position, /** @type {HTMLButtonElement} */ (button)));
       this.buttons.set(key, button);
       this.choices.append(button);

@@ -42,9 +42,18 @@ export async function authorName() {
 async function askName() {
   const answers = await askConfirmation({
     title: "Your name",
-    paragraphs: ["Orders and the audit bear it, marked as claimed: without tokens nobody checks it. This browser remembers it."],
+    paragraphs: [
+      "Orders and the audit bear it, marked as claimed: without tokens nobody checks it. This browser remembers it.",
+    ],
     submitLabel: "Use this name",
-    fields: [{ name: "name", label: "Name", first: true, input: { required: true, maxlength: "80", pattern: ".*\\S.*", value: localStorage.getItem(NAME_KEY) ?? "" } }],
+    fields: [
+      {
+        name: "name",
+        label: "Name",
+        first: true,
+        input: { required: true, maxlength: "80", pattern: ".*\\S.*", value: localStorage.getItem(NAME_KEY) ?? "" },
+      },
+    ],
   });
   if (answers) localStorage.setItem(NAME_KEY, answers.name);
   showName();

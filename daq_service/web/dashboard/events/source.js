@@ -52,7 +52,8 @@ export class Source {
     source.onerror = () => {
       this.setOpen(false);
       // EventSource does not retry a refused connection: connect again after the last event.
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.source === source && this.connect(), RETRY_MS);
+      if (source.readyState === EventSource.CLOSED)
+        setTimeout(() => this.source === source && this.connect(), RETRY_MS);
     };
     for (const topic of TOPICS) {
       source.addEventListener(topic, (message) => {

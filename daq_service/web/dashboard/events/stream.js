@@ -52,7 +52,10 @@ export class EventStream {
   }
 
   openShared() {
-    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: `${NAME} ${BASE}` });
+    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), {
+      type: "module",
+      name: `${NAME} ${BASE}`,
+    });
     // A browser that cannot run the worker reports it here.
     worker.onerror = () => this.port !== null && ((this.port = null), this.monitor.stop(), this.openDirect());
     this.port = worker.port;
@@ -73,7 +76,11 @@ export class EventStream {
   }
 
   openDirect() {
-    this.direct = new Source(this.lastId, { onNews: (news) => this.deliver(news), onGap: (id) => this.skip(id), onState: this.handlers.onState }, BASE);
+    this.direct = new Source(
+      this.lastId,
+      { onNews: (news) => this.deliver(news), onGap: (id) => this.skip(id), onState: this.handlers.onState },
+      BASE,
+    );
   }
 
   /** @param {import("./source.js").News} news */

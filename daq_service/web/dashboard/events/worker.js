@@ -22,19 +22,23 @@ function broadcast(message) {
 function join(port, after, base) {
   if (source === null) {
     keptAfter = after;
-    source = new Source(after, {
-      onNews: (news) => {
-        kept.push(news);
-        if (kept.length > MAX_KEPT) keptAfter = kept.splice(0, MAX_KEPT / 2).at(-1)?.id ?? keptAfter;
-        broadcast({ news });
+    source = new Source(
+      after,
+      {
+        onNews: (news) => {
+          kept.push(news);
+          if (kept.length > MAX_KEPT) keptAfter = kept.splice(0, MAX_KEPT / 2).at(-1)?.id ?? keptAfter;
+          broadcast({ news });
+        },
+        onGap: (id) => {
+          kept = [];
+          keptAfter = id;
+          broadcast({ gap: id });
+        },
+        onState: (open) => broadcast({ open, intervalS: source?.monitor.intervalS }),
       },
-      onGap: (id) => {
-        kept = [];
-        keptAfter = id;
-        broadcast({ gap: id });
-      },
-      onState: (open) => broadcast({ open, intervalS: source?.monitor.intervalS }),
-    }, base);
+      base,
+    );
     return;
   }
   // After a sleep of the computer an open connection may be dead.

@@ -29,8 +29,19 @@ export async function readSetData(position, method, index) {
   const which = `position=${position}&set_index=${index}${waves ? "&purpose=any" : ""}`;
   const [set] = await items(`/sets?${which}`);
   /** @type {SetData} */
-  const nothing = { set: set ?? null, shots: [], feature: null, shotFeatures: [], assessment: null, baseline: null, environment: null, waveforms: null, missingReason: "" };
-  if (!set) return { ...nothing, missingReason: `Nothing is recorded of ${setName(index)} at position ${position} yet.` };
+  const nothing = {
+    set: set ?? null,
+    shots: [],
+    feature: null,
+    shotFeatures: [],
+    assessment: null,
+    baseline: null,
+    environment: null,
+    waveforms: null,
+    missingReason: "",
+  };
+  if (!set)
+    return { ...nothing, missingReason: `Nothing is recorded of ${setName(index)} at position ${position} yet.` };
   const taken = set.n_taken > 0;
   const [features, shotFeatures, [assessment], baselines, environment, shots, waveforms] = await Promise.all([
     items(waves ? `/features?${which}&scope=set` : `/thickness?${which}`),
@@ -43,7 +54,11 @@ export async function readSetData(position, method, index) {
     taken && set.file ? readWaveforms(position, index).catch((/** @type {Error} */ error) => error) : null,
   ]);
   const failed = waveforms instanceof Error;
-  const reason = failed ? `The records cannot be read: ${waveforms.message}` : set.cause ? `Nothing was recorded: ${set.cause}.` : "No file of this set is stored.";
+  const reason = failed
+    ? `The records cannot be read: ${waveforms.message}`
+    : set.cause
+      ? `Nothing was recorded: ${set.cause}.`
+      : "No file of this set is stored.";
   return {
     set,
     shots,

@@ -21,13 +21,25 @@ function section(title, ...contributions) {
 
 /** @param {[string, string][]} values */
 function list(values) {
-  return el("dl", { class: "readouts" }, ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+  return el(
+    "dl",
+    { class: "readouts" },
+    ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+  );
 }
 
 /** @param {string} caption @param {string[]} head @param {HTMLElement[]} rows */
 function table(caption, head, rows) {
   const wrap = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": caption });
-  wrap.append(el("table", {}, el("caption", { text: caption }), el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col", text })))), el("tbody", {}, ...rows)));
+  wrap.append(
+    el(
+      "table",
+      {},
+      el("caption", { text: caption }),
+      el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col", text })))),
+      el("tbody", {}, ...rows),
+    ),
+  );
   return wrap;
 }
 
@@ -40,7 +52,11 @@ function bar(share, text) {
 
 /** @param {SetData} data @param {Record<string, string>} units */
 export function features({ feature, assessment }, units) {
-  if (feature === null) return section("Features", el("p", { class: "quiet small", text: "No feature: the set gave too few valid records." }));
+  if (feature === null)
+    return section(
+      "Features",
+      el("p", { class: "quiet small", text: "No feature: the set gave too few valid records." }),
+    );
   const contributions = assessment?.contributions ?? {};
   const total = Object.values(contributions).reduce((sum, value) => sum + Math.abs(value ?? 0), 0);
   const rows = Object.keys(units)
@@ -48,7 +64,13 @@ export function features({ feature, assessment }, units) {
     .map((name) => {
       const value = contributions[name];
       const known = value !== undefined && value !== null;
-      return el("tr", {}, el("td", { text: featureLabel(name) }), el("td", { text: shown(name, feature[name], units) }), known ? bar(total ? value / total : 0, significant(value)) : el("td", { text: "" }));
+      return el(
+        "tr",
+        {},
+        el("td", { text: featureLabel(name) }),
+        el("td", { text: shown(name, feature[name], units) }),
+        known ? bar(total ? value / total : 0, significant(value)) : el("td", { text: "" }),
+      );
     });
   const caption = `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, quality ${feature.quality}; the last column is each feature's part of D²`;
   return section("Features", table(caption, ["Feature", "Value", "Part of D²"], rows));
@@ -59,15 +81,35 @@ export function distance({ assessment }, limits) {
   if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not judged." }));
   const { cause_told: diagnosis } = assessment;
   const limit = limitOf(assessment);
-  const result = assessment.in_baseline ? "part of the baseline" : assessment.outlier === null ? (assessment.reason ?? "not judged") : assessment.outlier ? "beyond the limit: outlier" : "within the limit";
+  const result = assessment.in_baseline
+    ? "part of the baseline"
+    : assessment.outlier === null
+      ? (assessment.reason ?? "not judged")
+      : assessment.outlier
+        ? "beyond the limit: outlier"
+        : "within the limit";
   return section(
     "Distance",
     list([
       ["D²", significant(assessment.distance_squared)],
-      ["Limit of outliers", `${significant(limit)} (${assessment.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : assessment.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : assessment.limit_name})`],
-      ["Times the limit", limit && assessment.distance_squared !== null ? significant(assessment.distance_squared / limit) : NONE],
+      [
+        "Limit of outliers",
+        `${significant(limit)} (${assessment.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : assessment.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : assessment.limit_name})`,
+      ],
+      [
+        "Times the limit",
+        limit && assessment.distance_squared !== null ? significant(assessment.distance_squared / limit) : NONE,
+      ],
       ["Verdict", result],
-      .../** @type {[string, string][]} */ (assessment.cause ? [["Cause", diagnosisText(assessment)], ["What is seen", diagnosis.sentence], ["What to do", diagnosis.action]] : []),
+      .../** @type {[string, string][]} */ (
+        assessment.cause
+          ? [
+              ["Cause", diagnosisText(assessment)],
+              ["What is seen", diagnosis.sentence],
+              ["What to do", diagnosis.action],
+            ]
+          : []
+      ),
     ]),
     ...(assessment.limits ? [limitTable(assessment, limits.named)] : []),
   );
@@ -82,7 +124,14 @@ function limitTable(assessment, limits) {
     .map(({ name, words: description, of }) => {
       const value = values[of] ?? null;
       const limit = assessment.limits[name];
-      return el("tr", {}, el("td", { text: name, title: description }), el("td", { text: significant(limit) }), el("td", { text: significant(value) }), el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }));
+      return el(
+        "tr",
+        {},
+        el("td", { text: name, title: description }),
+        el("td", { text: significant(limit) }),
+        el("td", { text: significant(value) }),
+        el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }),
+      );
     });
   return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", "Verdict"], rows);
 }
@@ -99,20 +148,42 @@ export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
     const found = featureOf.get(shot.sequence);
     const accepted = shot.outcome === "accepted";
     const pressed = accepted && chosen === shot.shot_index;
-    const button = el("button", { class: "link", type: "button", disabled: !accepted, "aria-pressed": String(pressed), "data-shot": String(shot.shot_index), text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}` });
+    const button = el("button", {
+      class: "link",
+      type: "button",
+      disabled: !accepted,
+      "aria-pressed": String(pressed),
+      "data-shot": String(shot.shot_index),
+      text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}`,
+    });
     button.addEventListener("click", () => choose(pressed ? null : shot.shot_index));
-    const row = el("tr", {}, el("td", {}, button), el("td", { text: `${found?.quality ?? (shot.valid ? "valid" : "not valid")}${accepted ? "" : ", repeated"}` }), el("td", { text: shot.flags.join(", ") || "none" }));
+    const row = el(
+      "tr",
+      {},
+      el("td", {}, button),
+      el("td", { text: `${found?.quality ?? (shot.valid ? "valid" : "not valid")}${accepted ? "" : ", repeated"}` }),
+      el("td", { text: shot.flags.join(", ") || "none" }),
+    );
     for (const name of columns) row.append(el("td", { text: shown(name, found?.[name], units) }));
     row.append(el("td", { text: String(shot.sequence) }));
     return row;
   });
-  return section("Shots", table("A shot's number emphasises its record", ["Shot", "Quality", "Flags", ...columns.map(featureLabel), "Sequence"], cells));
+  return section(
+    "Shots",
+    table(
+      "A shot's number emphasises its record",
+      ["Shot", "Quality", "Flags", ...columns.map(featureLabel), "Sequence"],
+      cells,
+    ),
+  );
 }
 
 /** @param {SetData} data */
 export function climate({ environment: row }) {
-  if (row === null) return section("Climate and supply", el("p", { class: "quiet small", text: "Nothing was read around this set." }));
-  const age = (/** @type {string} */ quality, /** @type {number | null} */ age_s) => (quality === "absent" ? "absent" : `${quality}${age_s === null ? "" : `, read ${fixed(age_s, 0)} s before`}`);
+  if (row === null)
+    return section("Climate and supply", el("p", { class: "quiet small", text: "Nothing was read around this set." }));
+  const age = (/** @type {string} */ quality, /** @type {number | null} */ age_s) =>
+    quality === "absent" ? "absent" : `${quality}${age_s === null ? "" : `, read ${fixed(age_s, 0)} s before`}`;
   return section(
     "Climate and supply",
     list([
@@ -130,7 +201,9 @@ export function climate({ environment: row }) {
 export function provenance({ set, feature, assessment, baseline }, info) {
   if (set === null) return null;
   const identity = Object.entries(info.rig_identity).map(([name, value]) => `${name} ${value}`);
-  const serial = info.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === set.position)?.serial_number;
+  const serial = info.positions.find(
+    (/** @type {any} */ positionInfo) => positionInfo.position === set.position,
+  )?.serial_number;
   return section(
     "Provenance",
     list([
@@ -138,11 +211,19 @@ export function provenance({ set, feature, assessment, baseline }, info) {
       ["Its SHA-256", set.file_sha256 ? `${set.file_sha256.slice(0, 16)}…` : NONE],
       ["Recorded", `${utc(set.started_utc)} to ${utc(set.ended_utc)}`],
       ["Age", `${hour(set.age_h)} h`],
-      ["Records", `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned${set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""}`],
+      [
+        "Records",
+        `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned${set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""}`,
+      ],
       ["Rig", [info.rig_label, ...identity].join(", ")],
       ["Transducer", serial ?? NONE],
       ["Extractor", feature?.extractor_version ?? NONE],
-      ["Baseline", assessment?.baseline_id == null ? NONE : `${assessment.baseline_id}${baseline ? ` (${baseline.name}, sets ${baseline.first_set_index} to ${baseline.last_set_index}, approval ${baseline.approval})` : ""}`],
+      [
+        "Baseline",
+        assessment?.baseline_id == null
+          ? NONE
+          : `${assessment.baseline_id}${baseline ? ` (${baseline.name}, sets ${baseline.first_set_index} to ${baseline.last_set_index}, approval ${baseline.approval})` : ""}`,
+      ],
       ["Configuration", info.configuration_hash.slice(0, 16)],
     ]),
   );

@@ -54,14 +54,26 @@ export class SolimonSet extends HTMLElement {
     this.previous = button("‹ Previous set", () => this.step(-1));
     this.next = button("Next set ›", () => this.step(1));
     this.resetButton = button("Whole record", () => this.host.go({ from_us: null, to_us: null }));
-    this.toggle = button("Table", () => this.host.go({ tables: this.showsTable() ? this.host.view().tables.filter((id) => id !== "set") : [...this.host.view().tables, "set"] }));
+    this.toggle = button("Table", () =>
+      this.host.go({
+        tables: this.showsTable()
+          ? this.host.view().tables.filter((id) => id !== "set")
+          : [...this.host.view().tables, "set"],
+      }),
+    );
     this.toggle.setAttribute("aria-label", "Table of: records of the set");
     this.close = button("Close", () => this.leave());
     this.box = el("div", { class: "plot tall", role: "img", tabindex: "0", "aria-label": "Records of the set" });
     this.emptyText = el("p", { class: "empty" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
-    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Records of the set, table", hidden: true });
+    this.tableBox = el("div", {
+      class: "table-wrap",
+      tabindex: "0",
+      role: "region",
+      "aria-label": "Records of the set, table",
+      hidden: true,
+    });
     this.legend = el("ul", { class: "legend" });
     this.facts = el("div", { class: "facts-grid" });
     this.box.addEventListener("keydown", (event) => this.onPlotKey(event));
@@ -72,7 +84,21 @@ export class SolimonSet extends HTMLElement {
     this.setAttribute("role", "region");
     this.setAttribute("aria-labelledby", "set-title");
     this.append(
-      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle, this.chips), el("div", { class: "card-actions" }, this.previous, this.next, this.resetButton, this.toggle, exportMenu("records of the set", () => this.offer()), this.close)),
+      el(
+        "div",
+        { class: "card-head" },
+        el("div", {}, this.heading, this.subtitle, this.chips),
+        el(
+          "div",
+          { class: "card-actions" },
+          this.previous,
+          this.next,
+          this.resetButton,
+          this.toggle,
+          exportMenu("records of the set", () => this.offer()),
+          this.close,
+        ),
+      ),
       this.box,
       this.tableBox,
       this.legend,
@@ -106,9 +132,16 @@ export class SolimonSet extends HTMLElement {
     this.resetButton.disabled = this.host.view().from_us === null;
     const { from_us, to_us, ...rest } = this.host.view();
     // Units and the baseline's set may arrive after the set that an address opens.
-    const drawnView = JSON.stringify([rest.shot, rest.tables, rest.theme, Object.keys(this.host.units(position)), this.host.ghost(position)]);
+    const drawnView = JSON.stringify([
+      rest.shot,
+      rest.tables,
+      rest.theme,
+      Object.keys(this.host.units(position)),
+      this.host.ghost(position),
+    ]);
     this.neighbours();
-    if (this.requested === `${position} ${set}` && this.data && drawnView === this.drawnView) return this.plotted?.plot.setScale("x", this.plotted.plot.scales.x);
+    if (this.requested === `${position} ${set}` && this.data && drawnView === this.drawnView)
+      return this.plotted?.plot.setScale("x", this.plotted.plot.scales.x);
     this.drawnView = drawnView;
     if (this.requested !== `${position} ${set}`) void this.read();
     else if (this.data) {
@@ -184,9 +217,14 @@ export class SolimonSet extends HTMLElement {
 
   /** @param {KeyboardEvent} event */
   onKey(event) {
-    if (this.hidden || event.defaultPrevented || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
+    if (this.hidden || event.defaultPrevented || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey)
+      return;
     const target = /** @type {HTMLElement} */ (event.target);
-    if (target.closest("dialog, input, textarea, select, [role=radiogroup], .plot, .table-wrap") && event.key !== "Escape") return;
+    if (
+      target.closest("dialog, input, textarea, select, [role=radiogroup], .plot, .table-wrap") &&
+      event.key !== "Escape"
+    )
+      return;
     if (document.querySelector("dialog[open]")) return;
     if (event.key === "Escape") this.leave();
     else if (event.key === "ArrowLeft") this.step(-1);
@@ -205,7 +243,10 @@ export class SolimonSet extends HTMLElement {
     if (step === undefined) return;
     event.preventDefault();
     const at = plot.cursor.left < 0 ? plot.over.clientWidth / 2 : plot.cursor.left;
-    plot.setCursor({ left: Math.max(0, Math.min(plot.over.clientWidth, at + 3 * step)), top: plot.over.clientHeight / 2 }, true);
+    plot.setCursor(
+      { left: Math.max(0, Math.min(plot.over.clientWidth, at + 3 * step)), top: plot.over.clientHeight / 2 },
+      true,
+    );
   }
 
   render() {
@@ -216,16 +257,31 @@ export class SolimonSet extends HTMLElement {
     const units = this.host.units(view.position);
     const positionInfo = info.positions.find((/** @type {any} */ one) => one.position === view.position);
     this.neighbours();
-    setText(this.heading, `Position ${view.position} · ${setName(view.set ?? 0)}${set ? ` · hour ${hour(set.due_h)}` : ""}`);
-    setText(this.subtitle, set ? `${positionInfo.label} · ${utc(set.due_utc)} · ${duration(3600 * set.age_h)} old on the experiment's clock` : positionInfo.label);
+    setText(
+      this.heading,
+      `Position ${view.position} · ${setName(view.set ?? 0)}${set ? ` · hour ${hour(set.due_h)}` : ""}`,
+    );
+    setText(
+      this.subtitle,
+      set
+        ? `${positionInfo.label} · ${utc(set.due_utc)} · ${duration(3600 * set.age_h)} old on the experiment's clock`
+        : positionInfo.label,
+    );
     const chips = [];
-    if (set && set.state !== "done") chips.push(chip({ label: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));
+    if (set && set.state !== "done")
+      chips.push(chip({ label: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));
     if (feature) chips.push(chip({ ...QUALITY[feature.quality], label: `Quality ${feature.quality}` }));
     if (assessment?.outlier) chips.push(chip({ ...SEVERITIES.high, label: "Outlier" }));
     if (assessment?.in_baseline) chips.push(chip({ label: "Baseline", icon: "flag", tone: "info" }));
     this.chips.replaceChildren(...chips);
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.shot;
-    const parts = [features(data, units), positionInfo.method === "solitary_wave" ? distance(data, info.limits) : null, shots(data, units, view.shot, (shot) => this.host.go({ shot }, { step: true })), climate(data), provenance(data, info)];
+    const parts = [
+      features(data, units),
+      positionInfo.method === "solitary_wave" ? distance(data, info.limits) : null,
+      shots(data, units, view.shot, (shot) => this.host.go({ shot }, { step: true })),
+      climate(data),
+      provenance(data, info),
+    ];
     this.facts.replaceChildren(...parts.filter((one) => one !== null));
     if (focused) /** @type {HTMLElement | null} */ (this.facts.querySelector(`[data-shot="${focused}"]`))?.focus();
     this.dataset.set = `${view.position} ${view.set}`;
@@ -251,12 +307,30 @@ export class SolimonSet extends HTMLElement {
       faint: same.length > 1,
       dash: valid.has(one.header.sequence) ? undefined : [3, 3],
     }));
-    if (this.ghost?.length === first.volts.length) traces.unshift({ label: `baseline: mean of set ${this.ghostOf.split(" ")[1]}, the most typical`, volts: this.ghost, color: "--ghost", width: 2, dash: [6, 4] });
+    if (this.ghost?.length === first.volts.length)
+      traces.unshift({
+        label: `baseline: mean of set ${this.ghostOf.split(" ")[1]}, the most typical`,
+        volts: this.ghost,
+        color: "--ghost",
+        width: 2,
+        dash: [6, 4],
+      });
     const averaged = same.length > 1 ? mean(same.filter((one) => valid.has(one.header.sequence))) : null;
     if (averaged) traces.push({ label: "mean of the valid shots", volts: averaged, color: "--ink", width: 2 });
     const chosen = shot === null ? undefined : same.find((one) => one.header.shot_index === shot);
-    if (chosen) traces.push({ label: `shot ${chosen.header.shot_index + 1}, chosen`, volts: chosen.volts, color: "--limit", width: 2 });
-    const marks = feature === null ? [] : stored.header.method === "pulse_echo" ? this.echoMarks(feature.travel_time_s, first) : marksOf(feature);
+    if (chosen)
+      traces.push({
+        label: `shot ${chosen.header.shot_index + 1}, chosen`,
+        volts: chosen.volts,
+        color: "--limit",
+        width: 2,
+      });
+    const marks =
+      feature === null
+        ? []
+        : stored.header.method === "pulse_echo"
+          ? this.echoMarks(feature.travel_time_s, first)
+          : marksOf(feature);
     return { micros: first.micros, traces, marks, windows_s: stored.header.windows_s };
   }
 
@@ -301,33 +375,77 @@ export class SolimonSet extends HTMLElement {
     if (!overlay) return this.tableBox.replaceChildren();
     const { waveforms: stored } = /** @type {SetData} */ (this.data);
     if (showsTable) this.fillTable(overlay);
-    for (const trace of overlay.traces.filter((one) => !/^shot \d+$/.test(one.label))) this.legend.append(el("li", {}, swatch(trace.color, "line", trace.dash), trace.label));
-    if (stored && stored.waveforms.length > 1) this.legend.prepend(el("li", {}, swatch("--data", "line"), `${stored.waveforms.length} shots`));
-    if (stored?.header.n_damaged) this.legend.append(el("li", { text: `${stored.header.n_damaged} damaged records are left out` }));
-    this.box.setAttribute("aria-label", `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${overlay.marks.map((mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`).join("; ")}`);
+    for (const trace of overlay.traces.filter((one) => !/^shot \d+$/.test(one.label)))
+      this.legend.append(el("li", {}, swatch(trace.color, "line", trace.dash), trace.label));
+    if (stored && stored.waveforms.length > 1)
+      this.legend.prepend(el("li", {}, swatch("--data", "line"), `${stored.waveforms.length} shots`));
+    if (stored?.header.n_damaged)
+      this.legend.append(el("li", { text: `${stored.header.n_damaged} damaged records are left out` }));
+    this.box.setAttribute(
+      "aria-label",
+      `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${overlay.marks.map((mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`).join("; ")}`,
+    );
     if (!this.box.clientWidth || !this.box.clientHeight) return;
     const host = {
       span: () => {
         const { from_us, to_us } = this.host.view();
         return from_us === null || to_us === null ? null : /** @type {[number, number]} */ ([from_us, to_us]);
       },
-      show: (/** @type {[number, number] | null} */ span) => this.host.go({ from_us: span?.[0] ?? null, to_us: span?.[1] ?? null }, { gesture: true }),
+      show: (/** @type {[number, number] | null} */ span) =>
+        this.host.go({ from_us: span?.[0] ?? null, to_us: span?.[1] ?? null }, { gesture: true }),
     };
-    this.plotted = plotWaveforms(this.box, overlay, host, (index) => setText(this.readout, index < 0 ? "" : `${overlay.micros[index].toFixed(2)} µs · ${overlay.traces[overlay.traces.length - 1].volts[index].toFixed(4)} V`));
+    this.plotted = plotWaveforms(this.box, overlay, host, (index) =>
+      setText(
+        this.readout,
+        index < 0
+          ? ""
+          : `${overlay.micros[index].toFixed(2)} µs · ${overlay.traces[overlay.traces.length - 1].volts[index].toFixed(4)} V`,
+      ),
+    );
   }
 
   /** @param {import("./plot.js").Overlay} overlay */
   fillTable({ micros, traces }) {
     const step = Math.max(1, Math.ceil(micros.length / TABLE_ROWS));
     const body = el("tbody");
-    for (let k = 0; k < micros.length; k += step) body.append(el("tr", {}, el("td", { text: micros[k].toFixed(2) }), ...traces.map((trace) => el("td", { text: trace.volts[k].toFixed(4) }))));
-    const head = el("tr", {}, el("th", { scope: "col", text: "Time from the trigger (µs)" }), ...traces.map((trace) => el("th", { scope: "col", text: `${trace.label} (V)` })));
-    this.tableBox.replaceChildren(el("table", {}, el("caption", { text: `Every ${step}th of ${micros.length} samples; all of them are in the API` }), el("thead", {}, head), body));
+    for (let k = 0; k < micros.length; k += step)
+      body.append(
+        el(
+          "tr",
+          {},
+          el("td", { text: micros[k].toFixed(2) }),
+          ...traces.map((trace) => el("td", { text: trace.volts[k].toFixed(4) })),
+        ),
+      );
+    const head = el(
+      "tr",
+      {},
+      el("th", { scope: "col", text: "Time from the trigger (µs)" }),
+      ...traces.map((trace) => el("th", { scope: "col", text: `${trace.label} (V)` })),
+    );
+    this.tableBox.replaceChildren(
+      el(
+        "table",
+        {},
+        el("caption", { text: `Every ${step}th of ${micros.length} samples; all of them are in the API` }),
+        el("thead", {}, head),
+        body,
+      ),
+    );
   }
 
   /** Return copies of what is drawn, for tests and the console. */
   snapshot() {
     const overlay = this.overlay();
-    return overlay && { labels: overlay.traces.map((trace) => trace.label), volts: overlay.traces.map((trace) => [...trace.volts]), marks: overlay.marks, windows_s: overlay.windows_s, drawn: Boolean(this.plotted), span: this.plotted ? this.plotted.zoomable.span() : null };
+    return (
+      overlay && {
+        labels: overlay.traces.map((trace) => trace.label),
+        volts: overlay.traces.map((trace) => [...trace.volts]),
+        marks: overlay.marks,
+        windows_s: overlay.windows_s,
+        drawn: Boolean(this.plotted),
+        span: this.plotted ? this.plotted.zoomable.span() : null,
+      }
+    );
   }
 }

@@ -43,7 +43,10 @@ function drawWindows(u, windows) {
       ctx.fillStyle = color("--good");
       ctx.fillRect(left, top, width, 1.5 * ratio);
       const text = to > from ? `${name} window` : `${name} belongs here`;
-      const start = Math.min(Math.max(left, bbox.left), bbox.left + bbox.width - ctx.measureText(text).width - 4 * ratio);
+      const start = Math.min(
+        Math.max(left, bbox.left),
+        bbox.left + bbox.width - ctx.measureText(text).width - 4 * ratio,
+      );
       ctx.fillText(text, start + 3 * ratio, top + 3 * ratio);
     });
   });
@@ -67,13 +70,27 @@ export function plotWaveforms(box, overlay, host, onCursor) {
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: {
         x: { time: false, range: span },
-        y: { range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => [min - Math.max(0.08 * (max - min), 1e-3), max + Math.max(0.12 * (max - min), 1e-3)] },
+        y: {
+          range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => [
+            min - Math.max(0.08 * (max - min), 1e-3),
+            max + Math.max(0.12 * (max - min), 1e-3),
+          ],
+        },
       },
       axes: [
         { ...axis, label: "Time from the trigger (µs)", size: 26, labelSize: 20 },
         { ...axis, label: "Sensor voltage (V)", size: 52, labelSize: 18 },
       ],
-      series: [{}, ...traces.map((trace) => ({ label: trace.label, stroke: `${color(trace.color)}${trace.faint ? "70" : ""}`, width: trace.width, dash: trace.dash, points: { show: false } }))],
+      series: [
+        {},
+        ...traces.map((trace) => ({
+          label: trace.label,
+          stroke: `${color(trace.color)}${trace.faint ? "70" : ""}`,
+          width: trace.width,
+          dash: trace.dash,
+          points: { show: false },
+        })),
+      ],
       hooks: {
         drawClear: [(/** @type {any} */ u) => drawWindows(u, windows_s)],
         draw: [(/** @type {any} */ u) => drawPulses(u, marks)],

@@ -13,7 +13,8 @@ export function ticks([from, to], maxCount) {
   const power = 10 ** Math.floor(Math.log10(rough));
   const size = /** @type {number} */ ([1, 2, 5, 10].find((one) => one * power >= rough)) * power;
   const found = [];
-  for (let k = Math.ceil(from / size - 1e-9); k * size <= to + 1e-9 * size; k++) found.push(Number((k * size).toPrecision(12)));
+  for (let k = Math.ceil(from / size - 1e-9); k * size <= to + 1e-9 * size; k++)
+    found.push(Number((k * size).toPrecision(12)));
   return found;
 }
 
@@ -39,11 +40,17 @@ export function drawAxes(context, box, hours, down, right, timeline) {
     labels[k].split("\n").forEach((line, row) => context.fillText(line, x, top + height + 5 + 14 * row));
   });
   context.fillText(timeline.label, left + width / 2, top + height + (dates ? 36 : 22));
-  const side = (/** @type {{span: Span, label: string}} */ axis, /** @type {number} */ x, /** @type {number} */ labelX, /** @type {CanvasTextAlign} */ align) => {
+  const side = (
+    /** @type {{span: Span, label: string}} */ axis,
+    /** @type {number} */ x,
+    /** @type {number} */ labelX,
+    /** @type {CanvasTextAlign} */ align,
+  ) => {
     context.textBaseline = "middle";
     context.textAlign = align;
     const [low, high] = axis.span[0] < axis.span[1] ? axis.span : [axis.span[1], axis.span[0]];
-    for (const value of ticks([low, high], height / APART_PX.down)) context.fillText(String(value), x, top + ((value - axis.span[0]) / (axis.span[1] - axis.span[0])) * height);
+    for (const value of ticks([low, high], height / APART_PX.down))
+      context.fillText(String(value), x, top + ((value - axis.span[0]) / (axis.span[1] - axis.span[0])) * height);
     context.save();
     context.translate(labelX, top + height / 2);
     context.rotate(-Math.PI / 2);

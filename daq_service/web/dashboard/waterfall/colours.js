@@ -4,8 +4,34 @@
 const STEPS = 127;
 /** Colors from zero outwards, below and above it. @type {Record<string, {below: number[][], above: number[][]}>} */
 const MAPS = {
-  light: { below: [[255, 255, 255], [120, 178, 222], [0, 82, 148], [0, 30, 66]], above: [[255, 255, 255], [244, 176, 104], [186, 84, 0], [84, 26, 0]] },
-  dark: { below: [[13, 19, 24], [0, 78, 130], [64, 160, 222], [200, 232, 255]], above: [[13, 19, 24], [128, 56, 0], [236, 140, 48], [255, 232, 196]] },
+  light: {
+    below: [
+      [255, 255, 255],
+      [120, 178, 222],
+      [0, 82, 148],
+      [0, 30, 66],
+    ],
+    above: [
+      [255, 255, 255],
+      [244, 176, 104],
+      [186, 84, 0],
+      [84, 26, 0],
+    ],
+  },
+  dark: {
+    below: [
+      [13, 19, 24],
+      [0, 78, 130],
+      [64, 160, 222],
+      [200, 232, 255],
+    ],
+    above: [
+      [13, 19, 24],
+      [128, 56, 0],
+      [236, 140, 48],
+      [255, 232, 196],
+    ],
+  },
 };
 
 /** @param {number[][]} stops @param {number} fraction 0 to 1 @returns {number[]} */
@@ -18,7 +44,8 @@ function interpolate(stops, fraction) {
 /** @param {"light" | "dark"} theme @returns {Uint32Array} of 2 STEPS + 1 pixels in canvas format, zero in the middle */
 export function palette(theme) {
   const pixels = new Uint8ClampedArray(4 * (2 * STEPS + 1));
-  for (let k = -STEPS; k <= STEPS; k++) pixels.set([...interpolate(MAPS[theme][k < 0 ? "below" : "above"], Math.abs(k) / STEPS), 255], 4 * (k + STEPS));
+  for (let k = -STEPS; k <= STEPS; k++)
+    pixels.set([...interpolate(MAPS[theme][k < 0 ? "below" : "above"], Math.abs(k) / STEPS), 255], 4 * (k + STEPS));
   return new Uint32Array(pixels.buffer);
 }
 

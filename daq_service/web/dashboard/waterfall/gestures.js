@@ -50,15 +50,19 @@ export function attach(box, surface) {
     surface.point(at(event));
     surface.open();
   });
-  box.addEventListener("wheel", (event) => {
-    const cursor = at(event);
-    if (!cursor || (!pointed && !event.ctrlKey)) return;
-    event.preventDefault();
-    // With Shift some browsers report the wheel as horizontal.
-    const factor = wheelFactor(event, Math.abs(event.deltaY) > Math.abs(event.deltaX) ? event.deltaY : event.deltaX);
-    if (event.shiftKey) zoom(seconds, factor, cursor.seconds);
-    else zoom(hours, factor, cursor.hour);
-  }, { passive: false });
+  box.addEventListener(
+    "wheel",
+    (event) => {
+      const cursor = at(event);
+      if (!cursor || (!pointed && !event.ctrlKey)) return;
+      event.preventDefault();
+      // With Shift some browsers report the wheel as horizontal.
+      const factor = wheelFactor(event, Math.abs(event.deltaY) > Math.abs(event.deltaX) ? event.deltaY : event.deltaX);
+      if (event.shiftKey) zoom(seconds, factor, cursor.seconds);
+      else zoom(hours, factor, cursor.hour);
+    },
+    { passive: false },
+  );
   box.addEventListener("keydown", (event) => onKey(event, surface));
   touch(box, surface);
 }
@@ -68,8 +72,12 @@ function touch(box, { hours, seconds, bounds }) {
   /** Where each finger is. @type {Map<number, {x: number, y: number}>} */
   const fingers = new Map();
   const where = (/** @type {PointerEvent} */ event) => ({ x: event.clientX, y: event.clientY });
-  const factor = (/** @type {number} */ was, /** @type {number} */ is) => (Math.min(Math.abs(is), Math.abs(was)) < APART_PX ? 1 : Math.abs(was) / Math.abs(is));
-  box.addEventListener("pointerdown", (event) => event.pointerType === "touch" && fingers.set(event.pointerId, where(event)));
+  const factor = (/** @type {number} */ was, /** @type {number} */ is) =>
+    Math.min(Math.abs(is), Math.abs(was)) < APART_PX ? 1 : Math.abs(was) / Math.abs(is);
+  box.addEventListener(
+    "pointerdown",
+    (event) => event.pointerType === "touch" && fingers.set(event.pointerId, where(event)),
+  );
   box.addEventListener("pointermove", (event) => {
     const before = fingers.get(event.pointerId);
     if (!before) return;
@@ -85,7 +93,8 @@ function touch(box, { hours, seconds, bounds }) {
     zoom(hours, factor(before.x - other.x, now.x - other.x), valueAt(hours, (other.x - left) / width));
     zoom(seconds, factor(before.y - other.y, now.y - other.y), valueAt(seconds, (other.y - top) / height));
   });
-  for (const name of ["pointerup", "pointercancel"]) box.addEventListener(name, (event) => fingers.delete(/** @type {PointerEvent} */ (event).pointerId));
+  for (const name of ["pointerup", "pointercancel"])
+    box.addEventListener(name, (event) => fingers.delete(/** @type {PointerEvent} */ (event).pointerId));
 }
 
 /** @param {KeyboardEvent} event @param {Surface} surface */
@@ -97,7 +106,8 @@ function onKey(event, surface) {
   const cursor = shownCursor ?? { hour: header.last_h.at(-1), seconds: valueAt(seconds, 0.5) };
   if (onZoomKey(event, { ...hours, centre: () => cursor.hour })) return;
   if (event.ctrlKey || event.altKey || event.metaKey) return;
-  if (event.key === "PageUp" || event.key === "PageDown") zoom(seconds, event.key === "PageUp" ? 1 / ZOOM_KEY : ZOOM_KEY, cursor.seconds);
+  if (event.key === "PageUp" || event.key === "PageDown")
+    zoom(seconds, event.key === "PageUp" ? 1 / ZOOM_KEY : ZOOM_KEY, cursor.seconds);
   else if (event.key === "Enter") surface.open();
   else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
     const [from, to] = seconds.span();
@@ -106,8 +116,12 @@ function onKey(event, surface) {
     moveTo({ ...cursor, seconds: Math.max(first, Math.min(last, cursor.seconds + by)) }, surface);
   } else if (["ArrowLeft", "ArrowRight", "Home", "End"].includes(event.key)) {
     // Without a cursor the first step goes to the newest row.
-    const here = shownCursor ? header.first_h.findLastIndex((/** @type {number} */ first) => first <= cursor.hour) : header.rows;
-    const row = { ArrowLeft: here - 1, ArrowRight: here + 1, Home: 0, End: header.rows - 1 }[/** @type {"Home"} */ (event.key)];
+    const here = shownCursor
+      ? header.first_h.findLastIndex((/** @type {number} */ first) => first <= cursor.hour)
+      : header.rows;
+    const row = { ArrowLeft: here - 1, ArrowRight: here + 1, Home: 0, End: header.rows - 1 }[
+      /** @type {"Home"} */ (event.key)
+    ];
     moveTo({ ...cursor, hour: header.first_h[Math.max(0, Math.min(header.rows - 1, row))] }, surface);
   } else return;
   event.preventDefault();
@@ -117,6 +131,7 @@ function onKey(event, surface) {
 function moveTo(cursor, { hours, point }) {
   const [from, to] = hours.span();
   const half = (to - from) / 2;
-  if (cursor.hour < from || cursor.hour > to) hours.show(within([cursor.hour - half, cursor.hour + half], hours.full()));
+  if (cursor.hour < from || cursor.hour > to)
+    hours.show(within([cursor.hour - half, cursor.hour + half], hours.full()));
   point(cursor);
 }

@@ -83,7 +83,10 @@ export class ImageLoader {
     const { position, method, query, missingReason: without } = currentQuestion;
     try {
       if (without) throw new Error(without);
-      const [image, { columns }] = await Promise.all([readImage(position, query), this.trend(position, fieldsOf(method), { from_h: query.from_h, to_h: query.to_h })]);
+      const [image, { columns }] = await Promise.all([
+        readImage(position, query),
+        this.trend(position, fieldsOf(method), { from_h: query.from_h, to_h: query.to_h }),
+      ]);
       if (position !== this.currentQuestion()?.position) return;
       Object.assign(this, { image: image, columns, limit: largestMagnitude(image), trouble: "" });
     } catch (error) {

@@ -14,7 +14,10 @@ export function anchorOf({ align }) {
 export function thicknessOf({ velocity_m_per_s: velocity, delay_s: delay, align }, seconds) {
   if (velocity === null) return null;
   const from = align === "trigger" ? delay : 0;
-  return { span: /** @type {Span} */ (seconds.map((value) => (1e3 * velocity * (value - from)) / 2)), label: align === "trigger" ? "Thickness (mm)" : "Thickness beyond it (mm)" };
+  return {
+    span: /** @type {Span} */ (seconds.map((value) => (1e3 * velocity * (value - from)) / 2)),
+    label: align === "trigger" ? "Thickness (mm)" : "Thickness beyond it (mm)",
+  };
 }
 
 /** Return the sets of a row. @param {any} header @param {number} row */
@@ -25,7 +28,9 @@ export function setsOf({ first_set, last_set }, row) {
 /** @param {any} header */
 function values({ shown, baseline_sets }) {
   if (shown === "normalised") return "each row over its greatest magnitude";
-  return shown === "difference" ? `difference from the mean of ${baseline_sets} sets of the baseline` : "sensor voltage";
+  return shown === "difference"
+    ? `difference from the mean of ${baseline_sets} sets of the baseline`
+    : "sensor voltage";
 }
 
 /** Return what the image shows. @param {any} header */
@@ -46,10 +51,20 @@ export function readoutOf({ header, minimum: minimum, maximum: maximum }, { hour
   const row = rowAt(header, hour);
   const column = columnAt(header, seconds);
   const thick = thicknessOf(header, [seconds, seconds]);
-  const parts = [`hour ${fixed(row < 0 ? hour : header.first_h[row], 1)}`, timeline.text(hour), `${fixed(1e6 * seconds, 2)} µs from the ${anchorOf(header)}`, thick ? `${fixed(thick.span[0], 3)} mm` : ""];
+  const parts = [
+    `hour ${fixed(row < 0 ? hour : header.first_h[row], 1)}`,
+    timeline.text(hour),
+    `${fixed(1e6 * seconds, 2)} µs from the ${anchorOf(header)}`,
+    thick ? `${fixed(thick.span[0], 3)} mm` : "",
+  ];
   if (row < 0) return [...parts, "no record"].filter(Boolean).join(" · ");
   const cell = row * header.columns + column;
   const unit = header.unit === "V" ? " V" : "";
-  const found = column < 0 || Number.isNaN(minimum[cell]) ? "no sample" : `${fixed(minimum[cell], 3)} to ${fixed(maximum[cell], 3)}${unit}`;
-  return [...parts, found, `set${header.first_set[row] === header.last_set[row] ? "" : "s"} ${setsOf(header, row)}`].filter(Boolean).join(" · ");
+  const found =
+    column < 0 || Number.isNaN(minimum[cell])
+      ? "no sample"
+      : `${fixed(minimum[cell], 3)} to ${fixed(maximum[cell], 3)}${unit}`;
+  return [...parts, found, `set${header.first_set[row] === header.last_set[row] ? "" : "s"} ${setsOf(header, row)}`]
+    .filter(Boolean)
+    .join(" · ");
 }

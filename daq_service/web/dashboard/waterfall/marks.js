@@ -25,7 +25,9 @@ export function tracksOf({ method, align }, columns) {
     .map((track) => ({
       ...track,
       hours: columns.due_h,
-      seconds: columns[track.field].map((/** @type {number | null} */ time, /** @type {number} */ k) => (time === null || from(k) === null ? null : time - from(k))),
+      seconds: columns[track.field].map((/** @type {number | null} */ time, /** @type {number} */ k) =>
+        time === null || from(k) === null ? null : time - from(k),
+      ),
     }));
 }
 

@@ -30,13 +30,15 @@ export function paint(context, image, hours, seconds, limit) {
   const perPixelH = (hours[1] - hours[0]) / width;
   const firsts = new Int32Array(height + 1);
   // A pixel that starts at the edge of a cell must not take the cell before, because seconds are rounded.
-  for (let y = 0; y <= height; y++) firsts[y] = Math.floor((seconds[0] + y * perPixelS - header.first_s) / header.cell_s + 1e-6);
+  for (let y = 0; y <= height; y++)
+    firsts[y] = Math.floor((seconds[0] + y * perPixelS - header.first_s) / header.cell_s + 1e-6);
   /** Return the values of a row by pixel. @param {number} row */
   const columnOf = (row) => {
     const values = new Float32Array(height).fill(NaN);
     for (let y = 0; y < height; y++) {
       const last = Math.max(firsts[y], firsts[y + 1] - 1);
-      for (let cell = Math.max(0, firsts[y]); cell <= last && cell < header.columns; cell++) keepExtreme(values, y, extreme(image, row * header.columns + cell));
+      for (let cell = Math.max(0, firsts[y]); cell <= last && cell < header.columns; cell++)
+        keepExtreme(values, y, extreme(image, row * header.columns + cell));
     }
     return values;
   };
@@ -53,7 +55,8 @@ export function paint(context, image, hours, seconds, limit) {
       columns[row] ??= columnOf(row);
       for (let y = 0; y < height; y++) keepExtreme(values, y, columns[row][y]);
     }
-    for (let y = 0; y < height; y++) if (!Number.isNaN(values[y])) pixels[y * width + x] = colours[step(values[y], limit)];
+    for (let y = 0; y < height; y++)
+      if (!Number.isNaN(values[y])) pixels[y * width + x] = colours[step(values[y], limit)];
   }
   context.putImageData(imageData, 0, 0);
 }
@@ -88,7 +91,10 @@ export function paintOver(context, over, hours, seconds) {
       }
     });
     // A rim makes the line visible on every color of the map.
-    for (const [stroke, wide] of /** @type {[string, number][]} */ ([["--surface", 4], [track.color, 2]])) {
+    for (const [stroke, wide] of /** @type {[string, number][]} */ ([
+      ["--surface", 4],
+      [track.color, 2],
+    ])) {
       context.strokeStyle = color(stroke);
       context.lineWidth = wide * ratio;
       context.setLineDash(stroke === "--surface" ? [] : track.dash.map((one) => one * ratio));

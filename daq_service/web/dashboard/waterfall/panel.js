@@ -44,7 +44,8 @@ function choice(label, act) {
 /** @param {HTMLSelectElement} select @param {Record<string, string>} options @param {string} value */
 function offer(select, options, value) {
   const made = JSON.stringify(options);
-  if (select.dataset.made !== made) select.replaceChildren(...Object.entries(options).map(([key, text]) => el("option", { value: key, text })));
+  if (select.dataset.made !== made)
+    select.replaceChildren(...Object.entries(options).map(([key, text]) => el("option", { value: key, text })));
   select.dataset.made = made;
   select.value = value;
 }
@@ -63,7 +64,11 @@ export class SolimonWaterfall extends HTMLElement {
     super();
     /** @type {Host} */
     this.host = /** @type {any} */ (null);
-    this.loader = new ImageLoader(() => this.wanted(), (position, fields, range) => this.host.trend(position, fields, range), () => this.draw());
+    this.loader = new ImageLoader(
+      () => this.wanted(),
+      (position, fields, range) => this.host.trend(position, fields, range),
+      () => this.draw(),
+    );
     /** @type {import("./axes.js").Box | null} */
     this.lastArea = null;
     /** Position of the pointer or of the keyboard cursor. @type {Cursor | null} */
@@ -71,24 +76,51 @@ export class SolimonWaterfall extends HTMLElement {
     this.heading = el("h2", { id: "waterfall-title", text: "Waterfall" });
     this.subtitle = el("p");
     this.readout = el("p", { class: "readout", "aria-live": "polite" });
-    this.align = choice("Time counts from", (align) => this.host.go({ align: /** @type {any} */ (align), from_wf_us: null, to_wf_us: null }));
+    this.align = choice("Time counts from", (align) =>
+      this.host.go({ align: /** @type {any} */ (align), from_wf_us: null, to_wf_us: null }),
+    );
     this.shown = choice("Values of the waterfall", (shown) => this.host.go({ shown: /** @type {any} */ (shown) }));
     this.resetButton = button("Whole record", () => this.host.go({ from_wf_us: null, to_wf_us: null }));
-    this.toggle = button("Table", () => this.host.go({ tables: toggled(this.host.view().tables, "waterfall") }), { "aria-label": "Table of: Waterfall" });
-    this.overlayButtons = Object.entries(OVER).map(([key, text]) => button(text, () => this.host.go({ hides: toggled(this.host.view().hides, key) }), { "data-over": key }));
+    this.toggle = button("Table", () => this.host.go({ tables: toggled(this.host.view().tables, "waterfall") }), {
+      "aria-label": "Table of: Waterfall",
+    });
+    this.overlayButtons = Object.entries(OVER).map(([key, text]) =>
+      button(text, () => this.host.go({ hides: toggled(this.host.view().hides, key) }), { "data-over": key }),
+    );
     this.box = el("div", { class: "plot waterfall", tabindex: "0", role: "img", "aria-label": "Waterfall" });
     this.imageCanvas = canvas("image");
     this.over = canvas("over");
     this.axes = canvas("axes");
-    this.cross = [el("span", { class: "waterfall-cross across", hidden: true }), el("span", { class: "waterfall-cross down", hidden: true })];
+    this.cross = [
+      el("span", { class: "waterfall-cross across", hidden: true }),
+      el("span", { class: "waterfall-cross down", hidden: true }),
+    ];
     this.emptyText = el("p", { class: "empty", text: "Reading" });
     this.box.append(this.axes, this.imageCanvas, this.over, ...this.cross, this.emptyText);
-    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Waterfall, table", hidden: true });
+    this.tableBox = el("div", {
+      class: "table-wrap",
+      tabindex: "0",
+      role: "region",
+      "aria-label": "Waterfall, table",
+      hidden: true,
+    });
     this.scale = canvas("scale", { width: "255", height: "1" });
     this.legend = el("ul", { class: "legend" });
     attach(this.box, {
-      hours: { span: () => this.hours(), full: () => this.host.full(), show: (span) => this.host.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture: true }) },
-      seconds: { span: () => this.seconds(), full: () => this.fullSeconds(), show: (span) => this.host.go({ from_wf_us: span ? span[0] * 1e6 : null, to_wf_us: span ? span[1] * 1e6 : null }, { gesture: true }) },
+      hours: {
+        span: () => this.hours(),
+        full: () => this.host.full(),
+        show: (span) => this.host.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture: true }),
+      },
+      seconds: {
+        span: () => this.seconds(),
+        full: () => this.fullSeconds(),
+        show: (span) =>
+          this.host.go(
+            { from_wf_us: span ? span[0] * 1e6 : null, to_wf_us: span ? span[1] * 1e6 : null },
+            { gesture: true },
+          ),
+      },
       bounds: () => this.over.getBoundingClientRect(),
       header: () => this.image?.header,
       cursor: () => this.cursor,
@@ -104,8 +136,23 @@ export class SolimonWaterfall extends HTMLElement {
   connectedCallback() {
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", "waterfall-title");
-    const actions = el("div", { class: "card-actions wrap" }, this.align, this.shown, ...this.overlayButtons, this.resetButton, this.toggle);
-    this.append(el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle)), actions, this.readout, this.box, this.tableBox, this.legend);
+    const actions = el(
+      "div",
+      { class: "card-actions wrap" },
+      this.align,
+      this.shown,
+      ...this.overlayButtons,
+      this.resetButton,
+      this.toggle,
+    );
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle)),
+      actions,
+      this.readout,
+      this.box,
+      this.tableBox,
+      this.legend,
+    );
   }
 
   get image() {
@@ -118,7 +165,10 @@ export class SolimonWaterfall extends HTMLElement {
 
   /** The method of the chosen position; undefined: it is not known yet. @returns {string | undefined} */
   get method() {
-    return this.host?.info()?.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === this.host.view().position)?.method;
+    return this.host
+      ?.info()
+      ?.positions.find((/** @type {any} */ positionInfo) => positionInfo.position === this.host.view().position)
+      ?.method;
   }
 
   /** @returns {Span} */
@@ -143,9 +193,14 @@ export class SolimonWaterfall extends HTMLElement {
     const { method } = this;
     if (!method) return;
     const view = this.host.view();
-    offer(this.align, { trigger: "From the trigger", first: `From the ${method === "pulse_echo" ? "first echo" : "ISW"}` }, view.align);
+    offer(
+      this.align,
+      { trigger: "From the trigger", first: `From the ${method === "pulse_echo" ? "first echo" : "ISW"}` },
+      view.align,
+    );
     offer(this.shown, SHOWN, view.shown);
-    for (const one of this.overlayButtons) one.setAttribute("aria-pressed", String(!view.hides.includes(one.dataset.over ?? "")));
+    for (const one of this.overlayButtons)
+      one.setAttribute("aria-pressed", String(!view.hides.includes(one.dataset.over ?? "")));
     this.resetButton.disabled = view.from_wf_us === null;
     setText(this.heading, `Waterfall · ${view.position}`);
     this.toggle.setAttribute("aria-pressed", String(this.showsTable()));
@@ -181,7 +236,10 @@ export class SolimonWaterfall extends HTMLElement {
       rows: Math.min(MAX_ROWS, Math.max(16, Math.round(area.width * devicePixelRatio))),
       columns: Math.min(MAX_COLUMNS, Math.max(16, Math.round(area.height * devicePixelRatio))),
     };
-    const missingReason = shown === "difference" && !this.host.hasBaseline() ? `Position ${position} has no baseline yet to differ from` : "";
+    const missingReason =
+      shown === "difference" && !this.host.hasBaseline()
+        ? `Position ${position} has no baseline yet to differ from`
+        : "";
     return { position, method, query, missingReason };
   }
 
@@ -191,7 +249,12 @@ export class SolimonWaterfall extends HTMLElement {
     if (!this.box.clientWidth && this.lastArea) return this.lastArea;
     const right = this.method === "pulse_echo" ? GUTTER.rightOfThickness : GUTTER.right;
     const bottom = this.host.timeline().axis === "hours" ? GUTTER.bottom : GUTTER.bottomOfDates;
-    return (this.lastArea = { left: GUTTER.left, top: GUTTER.top, width: Math.max(1, this.box.clientWidth - GUTTER.left - right), height: Math.max(1, this.box.clientHeight - GUTTER.top - bottom) });
+    return (this.lastArea = {
+      left: GUTTER.left,
+      top: GUTTER.top,
+      width: Math.max(1, this.box.clientWidth - GUTTER.left - right),
+      height: Math.max(1, this.box.clientHeight - GUTTER.top - bottom),
+    });
   }
 
   draw() {
@@ -205,7 +268,8 @@ export class SolimonWaterfall extends HTMLElement {
     if (!drawn || !image) return;
     if (this.box.clientWidth) this.drawImage(image);
     this.describe(image.header);
-    if (this.showsTable()) this.tableBox.replaceChildren(tableOf(image, (set) => this.host.open(image.header.position, set)));
+    if (this.showsTable())
+      this.tableBox.replaceChildren(tableOf(image, (set) => this.host.open(image.header.position, set)));
   }
 
   /** @param {WaterfallImage} image */
@@ -213,7 +277,12 @@ export class SolimonWaterfall extends HTMLElement {
     const area = this.area();
     const ratio = devicePixelRatio;
     for (const canvas of [this.imageCanvas, this.over]) {
-      Object.assign(canvas.style, { left: `${area.left}px`, top: `${area.top}px`, width: `${area.width}px`, height: `${area.height}px` });
+      Object.assign(canvas.style, {
+        left: `${area.left}px`,
+        top: `${area.top}px`,
+        width: `${area.width}px`,
+        height: `${area.height}px`,
+      });
       canvas.width = Math.round(area.width * ratio);
       canvas.height = Math.round(area.height * ratio);
     }
@@ -225,7 +294,14 @@ export class SolimonWaterfall extends HTMLElement {
     const axes = contextOf(this.axes);
     axes.scale(ratio, ratio);
     const micros = /** @type {Span} */ (seconds.map((value) => value * 1e6));
-    drawAxes(axes, area, hours, { span: micros, label: `Time from the ${anchorOf(header)} (µs)` }, thicknessOf(header, seconds), this.host.timeline());
+    drawAxes(
+      axes,
+      area,
+      hours,
+      { span: micros, label: `Time from the ${anchorOf(header)} (µs)` },
+      thicknessOf(header, seconds),
+      this.host.timeline(),
+    );
     const { hides } = this.host.view();
     const over = this.host.over(header.position);
     const marks = {
@@ -252,7 +328,9 @@ export class SolimonWaterfall extends HTMLElement {
     new Uint32Array(imageCanvas.data.buffer).set(colours);
     contextOf(this.scale).putImageData(imageCanvas, 0, 0);
     const { limit } = this.loader;
-    const ends = [-limit, limit].map((value) => `${significant(value)} ${header.unit === "V" ? "V" : "of the row's greatest"}`);
+    const ends = [-limit, limit].map(
+      (value) => `${significant(value)} ${header.unit === "V" ? "V" : "of the row's greatest"}`,
+    );
     this.legend.replaceChildren(
       el("li", {}, ends[0], this.scale, ends[1]),
       el("li", {}, el("span", { class: "waterfall-none" }), "no record"),
@@ -268,8 +346,16 @@ export class SolimonWaterfall extends HTMLElement {
     for (const line of this.cross) line.hidden = !cursor;
     if (!cursor || !image) return setText(this.readout, "");
     const [across, down] = this.cross;
-    Object.assign(down.style, { left: `${area.left + ((cursor.hour - hours[0]) / (hours[1] - hours[0])) * area.width}px`, top: `${area.top}px`, height: `${area.height}px` });
-    Object.assign(across.style, { top: `${area.top + ((cursor.seconds - seconds[0]) / (seconds[1] - seconds[0])) * area.height}px`, left: `${area.left}px`, width: `${area.width}px` });
+    Object.assign(down.style, {
+      left: `${area.left + ((cursor.hour - hours[0]) / (hours[1] - hours[0])) * area.width}px`,
+      top: `${area.top}px`,
+      height: `${area.height}px`,
+    });
+    Object.assign(across.style, {
+      top: `${area.top + ((cursor.seconds - seconds[0]) / (seconds[1] - seconds[0])) * area.height}px`,
+      left: `${area.left}px`,
+      width: `${area.width}px`,
+    });
     setText(this.readout, readoutOf(image, cursor, this.host.timeline()));
   }
 
@@ -283,6 +369,14 @@ export class SolimonWaterfall extends HTMLElement {
   /** Return copies of what is drawn, for tests and the console. */
   snapshot() {
     if (!this.method) return { ready: false };
-    return { header: structuredClone(this.image?.header ?? null), limit: this.loader.limit, hours: this.hours(), seconds: this.seconds(), tracks: structuredClone(this.tracks()), cursor: this.cursor, ready: this.loader.settled };
+    return {
+      header: structuredClone(this.image?.header ?? null),
+      limit: this.loader.limit,
+      hours: this.hours(),
+      seconds: this.seconds(),
+      tracks: structuredClone(this.tracks()),
+      cursor: this.cursor,
+      ready: this.loader.settled,
+    };
   }
 }
