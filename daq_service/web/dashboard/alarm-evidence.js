@@ -21,7 +21,10 @@ const AFTER = 8;
  * @property {(hour: number, ask: boolean) => void} note
  */
 
-/** @param {string[]} fields of /trends, the assessed one first @param {(columns: any, k: number, evidence: any) => boolean | null} exceeds */
+/**
+ * @param {string[]} fields of /trends, the assessed one first
+ * @param {(columns: any, k: number, evidence: any) => boolean | null} exceeds
+ */
 const trendReader = (fields, exceeds) => async (/** @type {any} */ alarm, /** @type {any} */ range) => {
   const { columns } = await trend(alarm.position, fields, range);
   return columns.set_index.map((/** @type {number} */ set, /** @type {number} */ k) => ({
@@ -58,7 +61,8 @@ const WALL = ["distance_squared", "outlier"];
 /**
  * What each kind assesses: its name and format, the key of its limit in the evidence, and where it is read.
  *
- * @type {Record<string, {name: string, short: string, unit: string, digits: number, limit: string, log?: boolean, source?: {fields: string[], method: string}, read: (alarm: any, range: any) => Promise<AssessedSet[]>}>}
+ * @type {Record<string, {name: string, short: string, unit: string, digits: number, limit: string, log?: boolean,
+ *   source?: {fields: string[], method: string}, read: (alarm: any, range: any) => Promise<AssessedSet[]>}>}
  */
 const KINDS = {
   wall_change: {
@@ -99,7 +103,15 @@ const BY_CHART = {
   read: trendReader(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)),
 };
 
-/** Return a link to a set, which can be copied and sent like any other view. @param {string} position @param {number} set @param {string} text @param {Record<string, string>} attributes @param {Host["open"]} open */
+/**
+ * Return a link to a set, which can be copied and sent like any other view.
+ *
+ * @param {string} position
+ * @param {number} set
+ * @param {string} text
+ * @param {Record<string, string>} attributes
+ * @param {Host["open"]} open
+ */
 export function setLink(position, set, text, attributes, open) {
   const link = el("a", { class: "small", href: `?position=${position}&set=${set}`, text, ...attributes });
   link.addEventListener("click", (event) => {
@@ -197,7 +209,8 @@ export class AlarmEvidence {
     // A kind without a limit (hole) is only drawn.
     const subtitle = !evaluated.length
       ? `Position ${alarm.position}`
-      : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} judged sets beyond the limit when the alarm was raised`;
+      : `Position ${alarm.position}: ${exceeds} of the last ${evaluated.length} judged sets beyond the ` +
+        "limit when the alarm was raised";
     const x = assessed.map((one) => one.hour);
     const sets = assessed.map((one) => one.set);
     this.chart ??= this.makeChart(kind);

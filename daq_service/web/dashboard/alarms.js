@@ -79,7 +79,9 @@ export class SolimonAlarms extends HTMLElement {
     setText(
       this.count,
       items.length
-        ? `${waiting} waiting for acknowledgement, ${suppressedCount ? `${suppressedCount} shelved or out of service, ` : ""}${items.length} in this test`
+        ? `${waiting} waiting for acknowledgement, ` +
+            (suppressedCount ? `${suppressedCount} shelved or out of service, ` : "") +
+            `${items.length} in this test`
         : "None so far",
     );
     this.filter.offer(items);
@@ -108,7 +110,15 @@ export class SolimonAlarms extends HTMLElement {
     this.evidenceBoxes.set(alarm.id, evidence);
     evidence.update(alarm);
     const foot = el("div", { class: "alarm-foot" }, evidence.root);
-    /** Add a button if the user's role allows its action. @param {string} key @param {string} what @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
+    /**
+     * Add a button if the user's role allows its action.
+     *
+     * @param {string} key
+     * @param {string} what
+     * @param {string} text
+     * @param {(button: HTMLButtonElement) => void} act
+     * @param {Record<string, string | boolean>} [attributes]
+     */
     const offer = (key, what, text, act, attributes = {}) => {
       if (isAllowed(what)) foot.append(button(text, act, { "data-focus": `${key}-${alarm.id}`, ...attributes }));
     };

@@ -60,7 +60,11 @@ async function json(address) {
   return embeddedValue ?? fetchWithDeadline(address, { headers: { Accept: "application/json" } }, parseResponse);
 }
 
-/** @param {string} path below /api/v1 @param {string} [base] of another test; empty: the service @returns {Promise<any>} */
+/**
+ * @param {string} path below /api/v1
+ * @param {string} [base] of another test; empty: the service
+ * @returns {Promise<any>}
+ */
 export async function get(path, base = BASE) {
   return json(`${base}/api/v1${path}`);
 }

@@ -6,7 +6,12 @@ export function limitOf(assessment) {
   return assessment.limits?.[assessment.limit_name] ?? columnLimit;
 }
 
-/** Return the diagnosis of a change with its probability; an undetermined one has none. @param {any} assessment @returns {string} */
+/**
+ * Return the diagnosis of a change with its probability; an undetermined one has none.
+ *
+ * @param {any} assessment
+ * @returns {string}
+ */
 export function diagnosisText(assessment) {
   const probability =
     assessment.cause === "cannot tell" ? "" : ` (${Math.round(100 * assessment.cause_probability)} %)`;

@@ -29,7 +29,10 @@ function approvalText(row) {
   const { retired_by: author, retired_because: reason } = row;
   if (row.state === "retired") return `retired by ${author}, ${utc(row.retired_utc)}: ${reason}`;
   if (row.state !== "approved") return "";
-  return `${row.approval === "automatic" ? "automatically: nobody signed it" : `by ${row.approval}`}, ${utc(row.approved_utc)}`;
+  return (
+    `${row.approval === "automatic" ? "automatically: nobody signed it" : `by ${row.approval}`}, ` +
+    `${utc(row.approved_utc)}`
+  );
 }
 
 /** Whether it is frozen but has no limits. @param {any} row of /baselines */
@@ -41,10 +44,18 @@ function falseAlarmText({
   rate_guaranteed: rateVerified,
   why_not_guaranteed: unverifiedReason,
 }) {
-  return `${significant(false_alarms_per_sensor_year)} a year by the chart, ${rateVerified ? "promised" : `not promised: ${unverifiedReason}`}`;
+  return (
+    `${significant(false_alarms_per_sensor_year)} a year by the chart, ` +
+    `${rateVerified ? "promised" : `not promised: ${unverifiedReason}`}`
+  );
 }
 
-/** Return the facts of a baseline and its quality, each with its name. @param {any} row of /baselines @returns {[string, string][]} */
+/**
+ * Return the facts of a baseline and its quality, each with its name.
+ *
+ * @param {any} row of /baselines
+ * @returns {[string, string][]}
+ */
 function facts(row) {
   const { readiness: quality, temperature_c } = row;
   const range = `${row.first_set_index} to ${row.last_set_index}`;
@@ -92,7 +103,11 @@ export class BaselineCard {
     this.root.replaceChildren(el("summary", {}, this.head, " ", this.state), this.body, this.commandButtons);
   }
 
-  /** @param {string} position that the charts show @param {any[]} rows its baselines from the API, the current one last @param {boolean} acceptsCommands whether a recorder carries out commands */
+  /**
+   * @param {string} position that the charts show
+   * @param {any[]} rows its baselines from the API, the current one last
+   * @param {boolean} acceptsCommands whether a recorder carries out commands
+   */
   update(position, rows, acceptsCommands) {
     const row = rows.at(-1);
     this.position = position;
@@ -125,7 +140,9 @@ export class BaselineCard {
     const approve = {
       title: `Sign the baseline of ${position}`,
       paragraphs: [
-        `You say that the wall and the transducer at ${position} were healthy in sets ${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are already.`,
+        `You say that the wall and the transducer at ${position} were healthy in sets ` +
+          `${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are ` +
+          "already.",
       ],
       submitLabel: `Sign ${row.name}`,
       fields: [{ ...NOTE, label: "Note (everybody sees it)" }],
@@ -133,7 +150,8 @@ export class BaselineCard {
     const renew = {
       title: `Another baseline for ${position}`,
       paragraphs: [
-        `${row.name} is retired for good. Another one is collected from the next planned set on, and until it is complete nothing judges the wall at ${position}: not the chart, and no limit.`,
+        `${row.name} is retired for good. Another one is collected from the next planned set on, and ` +
+          `until it is complete nothing judges the wall at ${position}: not the chart, and no limit.`,
         "It learns the wall as it is. Damage that is there by then counts as healthy.",
       ],
       submitLabel: `Retire ${row.name}`,

@@ -35,10 +35,12 @@ const FITTED = /** @type {Record<string, string[]>} */ ({
  * @typedef {object} Listener
  * @property {() => string[]} drawn positions that the address shows
  * @property {() => void} onStart the test is known: its positions may be chosen now
- * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
+ * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void}
+ *   onRead
  * @property {() => void} onColumns columns or fits of a position are new
  * @property {() => void} onDetails only columns of the shown hours are new
- * @property {(reason: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: it does now
+ * @property {(reason: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: it does
+ *   now
  * @property {(error: Error) => void} onTrouble an update failed
  */
 
@@ -108,7 +110,11 @@ export class DataLoader {
     return Boolean(values?.some((/** @type {number | boolean | null} */ value) => value !== null && value !== false));
   }
 
-  /** Wait until there is something to show, then read it. @param {(after: number) => void} openEvents opens the events after this id */
+  /**
+   * Wait until there is something to show, then read it.
+   *
+   * @param {(after: number) => void} openEvents opens the events after this id
+   */
   async start(openEvents) {
     try {
       if (!(await hasData())) {

@@ -67,7 +67,8 @@ export class DisabledTransducers {
   /** @param {string} position */
   async enable(position) {
     const paragraphs = [
-      `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that retired it is reset.`,
+      `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that ` +
+        "retired it is reset.",
       "To take it back, retire it again.",
     ];
     const answers = await askConfirmation({

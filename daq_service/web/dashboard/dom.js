@@ -17,7 +17,13 @@ export function el(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Return a small button. @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
+/**
+ * Return a small button.
+ *
+ * @param {string} text
+ * @param {(button: HTMLButtonElement) => void} act
+ * @param {Record<string, string | boolean>} [attributes]
+ */
 export function button(text, act, attributes = {}) {
   const made = /** @type {HTMLButtonElement} */ (
     el("button", { class: "button ghost small", type: "button", text, ...attributes })

@@ -19,7 +19,13 @@ function current(current_a) {
     : quantity(current_a, 1e3, 2, "mA");
 }
 
-/** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values @param {string} since */
+/**
+ * @param {string} name
+ * @param {string} quality
+ * @param {number | null} age_s
+ * @param {[string, string][]} values
+ * @param {string} since
+ */
 function group(name, quality, age_s, values, since = "before") {
   const qualityLook = QUALITIES[quality] ?? { label: quality, icon: "dash", tone: "" };
   const age = age_s === null ? "" : `read ${fixed(age_s, age_s < 10 ? 1 : 0)} s ${since}`;

@@ -7,7 +7,8 @@ import { el } from "./dom.js";
 /**
  * @typedef {object} Offer
  * @property {string} description content of the files, where it differs from the screen
- * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: the format of a single file, else all formats of the API
+ * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: the format of a single file, else
+ *   all formats of the API
  * @property {string[]} python lines in which `test` is the opened test
  */
 
@@ -22,7 +23,12 @@ const FORMAT_LABELS = /** @type {Record<string, string>} */ ({
 /** @type {string[]} formats that this service writes; empty until they are read */
 let formats = [];
 
-/** Return the table of the API, and the method of the client, that has a feature. @param {string} field @param {string} method */
+/**
+ * Return the table of the API, and the method of the client, that has a feature.
+ *
+ * @param {string} field
+ * @param {string} method
+ */
 const tableOf = (field, method) =>
   method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features";
 

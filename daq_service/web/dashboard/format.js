@@ -57,7 +57,11 @@ export function hour(hours) {
 /** Scheduled sets have smaller indices, unscheduled ones (`hardware_drivers/measurement.py`) larger ones. */
 export const PLANNED_SETS = 10_000_000;
 
-/** Return the name of a set: its number, or for a confirmation set that of the scheduled set before it. @param {number} index */
+/**
+ * Return the name of a set: its number, or for a confirmation set that of the scheduled set before it.
+ *
+ * @param {number} index
+ */
 export function setName(index) {
   const confirmationNumber = Math.floor(index / PLANNED_SETS);
   return confirmationNumber

@@ -158,7 +158,13 @@ function nowH() {
   return state.now_h + (data.info?.clock.kind === "wall" ? (performance.now() - state.clockReadAt) / HOUR_MS : 0);
 }
 
-/** Show hours with their surroundings. @param {number} from @param {number} to @param {Partial<import("./view.js").View>} [changes] what else changes */
+/**
+ * Show hours with their surroundings.
+ *
+ * @param {number} from
+ * @param {number} to
+ * @param {Partial<import("./view.js").View>} [changes] what else changes
+ */
 function showHours(from, to, changes = {}) {
   address.go({ from_h: from - AROUND_H, to_h: to + AROUND_H, ...changes });
 }
@@ -172,7 +178,12 @@ function chartedPosition() {
   return [position, charts].find((one) => solitaryWave.includes(one)) ?? solitaryWave[0] ?? "";
 }
 
-/** Return what changes with the chosen position. @param {string} position @returns {Partial<import("./view.js").View>} */
+/**
+ * Return what changes with the chosen position.
+ *
+ * @param {string} position
+ * @returns {Partial<import("./view.js").View>}
+ */
 function selection(position) {
   if (position === address.view.position) return {};
   const solitaryWave = data.positionInfo(position)?.method === "solitary_wave";

@@ -5,7 +5,10 @@ import { button, el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
 import { sendCommand } from "./commands.js";
 
-/** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void, now: () => number}} Host */
+/**
+ * @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void,
+ *   now: () => number}} Host
+ */
 
 /** @param {any} note */
 const hours = (note) =>
@@ -178,7 +181,13 @@ export class SolimonNotes extends HTMLElement {
   }
 }
 
-/** Return the ranges of annotations on charts. @param {any[]} notes @param {string[]} positions @returns {import("./charts/marks.js").Range[]} */
+/**
+ * Return the ranges of annotations on charts.
+ *
+ * @param {any[]} notes
+ * @param {string[]} positions
+ * @returns {import("./charts/marks.js").Range[]}
+ */
 export function notesOn(notes, positions) {
   return notes
     .filter((note) => note.position === null || positions.includes(note.position))

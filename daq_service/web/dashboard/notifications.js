@@ -33,13 +33,18 @@ function heartbeat(beat) {
     failing: "not taken",
     withheld: "withheld",
   });
-  return `${states[beat.state]}${beat.last_utc ? `, last ${utc(beat.last_utc)}` : ""}${beat.state === "ok" ? "" : ` ${beat.told}`}`;
+  const last = beat.last_utc ? `, last ${utc(beat.last_utc)}` : "";
+  const { told: response } = beat;
+  return `${states[beat.state]}${last}${beat.state === "ok" ? "" : ` ${response}`}`;
 }
 
 /** @param {any} receiver */
 function trouble(receiver) {
   if (receiver.failing_since_utc === null) return "";
-  return `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried again until it is too old.`;
+  return (
+    `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried ` +
+    "again until it is too old."
+  );
 }
 
 class Receiver {
@@ -93,10 +98,10 @@ class Receiver {
     this.button.disabled = true;
     setText(this.result, "Sending");
     try {
-      const answer = await post(`/notifications/${this.name}/test`, {});
+      const { ok, took_s, told: response } = await post(`/notifications/${this.name}/test`, {});
       setText(
         this.result,
-        `${answer.ok ? "The trial arrived" : "The trial did not arrive"} after ${answer.took_s.toFixed(1)} s: ${answer.told}`,
+        `${ok ? "The trial arrived" : "The trial did not arrive"} after ${took_s.toFixed(1)} s: ${response}`,
       );
     } catch (error) {
       setText(this.result, /** @type {Error} */ (error).message);
@@ -167,12 +172,12 @@ export class Notifications {
     if (!(/** @type {HTMLDetailsElement} */ (this.log).open)) return;
     try {
       const { items } = await get(`/notifications/log?limit=${LOG_LINES}`);
-      const cells = (/** @type {any} */ row) => [
-        utc(row.utc),
-        row.receiver,
-        row.what.replace("_", " "),
-        row.told,
-        row.event_ids.join(", "),
+      const cells = (/** @type {any} */ { utc: time, receiver, what, told: response, event_ids }) => [
+        utc(time),
+        receiver,
+        what.replace("_", " "),
+        response,
+        event_ids.join(", "),
       ];
       this.rows.replaceChildren(
         ...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))),

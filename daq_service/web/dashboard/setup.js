@@ -4,7 +4,10 @@ import { byId, color, el, setText } from "./dom.js";
 
 /** @typedef {{first_s: number, column_s: number, lowest_v: number[], highest_v: number[], range_v: number}} Envelope */
 /** @typedef {{name: string, time_s: number | null, height_v: number | null}} Mark */
-/** @typedef {{range_v?: number, level_v?: number | null, marks?: Mark[], edges?: {name: string, time_s: number}[]}} Lines */
+/**
+ * @typedef {{range_v?: number, level_v?: number | null, marks?: Mark[], edges?: {name: string, time_s: number}[]}}
+ *   Lines
+ */
 /** @typedef {{number: number, name: string, text: string, default: string, choices: string[]}} Question */
 
 const KEPT = 12;
@@ -193,7 +196,8 @@ async function pollScope() {
   live.dataset.frames = String(Number(live.dataset.frames ?? 0) + 1);
   live.setAttribute(
     "aria-label",
-    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ±${envelope.range_v} V`,
+    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ` +
+      `±${envelope.range_v} V`,
   );
 }
 

@@ -82,7 +82,8 @@ export class ShelveDialog {
     this.id = alarm.id;
     setText(
       this.what,
-      `${alarm.position ?? "Service"}: ${alarm.message}. It goes on through its states and is counted apart; if it grows worse it comes off the shelf.`,
+      `${alarm.position ?? "Service"}: ${alarm.message}. It goes on through its states and is counted ` +
+        "apart; if it grows worse it comes off the shelf.",
     );
     this.reason.value = "";
     this.length.value = "8";

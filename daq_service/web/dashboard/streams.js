@@ -11,13 +11,21 @@ import { HeartbeatMonitor } from "./events/heartbeat.js";
  * @property {Float64Array} micros time from the trigger in µs
  */
 
-/** @param {ArrayBuffer} buffer @returns {{header: any, start: number}} the JSON header, and the byte where the samples start */
+/**
+ * @param {ArrayBuffer} buffer
+ * @returns {{header: any, start: number}} the JSON header, and the byte where the samples start
+ */
 export function readHeader(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   return { header: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length))), start: 4 + length };
 }
 
-/** @param {ArrayBuffer} buffer @param {number} start @param {any} header dtype, scale and clock of the samples @param {number} [length] */
+/**
+ * @param {ArrayBuffer} buffer
+ * @param {number} start
+ * @param {any} header dtype, scale and clock of the samples
+ * @param {number} [length]
+ */
 export function toWaveform(buffer, start, header, length) {
   const counts = new (header.dtype === "int32" ? Int32Array : Int16Array)(buffer, start, length);
   const volts = new Float64Array(counts.length);

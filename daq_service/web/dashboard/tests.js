@@ -58,7 +58,9 @@ function card(item) {
     head.append(
       chip({
         ...SEVERITIES[standing.highest_severity],
-        label: `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ${standing.highest_severity}`,
+        label:
+          `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ` +
+          `${standing.highest_severity}`,
       }),
     );
   if (standing.held) head.append(chip({ label: "On hold", icon: "pause", tone: "warn" }));
@@ -95,11 +97,10 @@ function show() {
 function tick() {
   for (const item of items) {
     const age = root.querySelector(`[data-test="${item.test}"] .tile-age`);
-    if (age)
-      setText(
-        age,
-        `${item.standing.last_set_index === null ? "" : `Set ${item.standing.last_set_index} · `}${ageText(item.standing, { ...item.standing, data_h: item.standing.last_set_h }, ageS(item))}`,
-      );
+    if (!age) continue;
+    const { standing } = item;
+    const set = standing.last_set_index === null ? "" : `Set ${standing.last_set_index} · `;
+    setText(age, set + ageText(standing, { ...standing, data_h: standing.last_set_h }, ageS(item)));
   }
 }
 

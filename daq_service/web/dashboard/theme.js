@@ -7,7 +7,11 @@ const KEY = "solimon-theme";
 const THEMES = ["auto", "light", "dark"];
 
 export class Theme {
-  /** @param {() => string} addressTheme returns the theme of the address @param {(theme: string) => void} choose @param {() => void} redraw */
+  /**
+   * @param {() => string} addressTheme returns the theme of the address
+   * @param {(theme: string) => void} choose
+   * @param {() => void} redraw
+   */
   constructor(addressTheme, choose, redraw) {
     this.addressTheme = addressTheme;
     this.redraw = redraw;

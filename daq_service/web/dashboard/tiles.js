@@ -69,7 +69,8 @@ export class Tiles {
 
   /** @param {any} answer of /transducers */
   update(answer) {
-    // The answers embedded in the page are passed again when the other scripts have loaded; their age counts from the first time.
+    // The answers embedded in the page are passed again when the other scripts have loaded; their age counts from the
+    // first time.
     if (this.asOf !== answer.as_of) this.readAt = performance.now();
     this.states = answer.items;
     this.asOf = answer.as_of;
@@ -120,7 +121,8 @@ export class Tiles {
       const text =
         state.age_h === null
           ? "nothing recorded yet"
-          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ${wall === null ? NONE : duration(wall)} ago`;
+          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ` +
+            `${wall === null ? NONE : duration(wall)} ago`;
       setText(age, text);
     }
   }
@@ -151,7 +153,9 @@ export class Tiles {
         ? [
             el("p", {
               class: "quiet small",
-              text: `${state.suppressed_alarms} shelved or out of service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}`,
+              text:
+                `${state.suppressed_alarms} shelved or out of ` +
+                `service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}`,
             }),
           ]
         : []),

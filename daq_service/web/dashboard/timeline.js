@@ -42,7 +42,13 @@ export class Timeline {
     return `${this.parts(this.epochMs + hour * HOUR_MS).join(" ")} ${this.axis === "utc" ? "UTC" : "local"}`;
   }
 
-  /** Return the hours of an axis of dates at which ticks lie: full days, hours or minutes. @param {number} from @param {number} to @param {number} widthPx */
+  /**
+   * Return the hours of an axis of dates at which ticks lie: full days, hours or minutes.
+   *
+   * @param {number} from
+   * @param {number} to
+   * @param {number} widthPx
+   */
   splits(from, to, widthPx) {
     const wanted = ((to - from) * NARROWEST_PX) / Math.max(widthPx, NARROWEST_PX);
     const stepMs = (STEPS_H.find((step) => step >= wanted) ?? STEPS_H[STEPS_H.length - 1]) * HOUR_MS;

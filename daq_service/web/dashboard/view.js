@@ -94,9 +94,8 @@ export function format(view) {
     const plain = /** @type {any} */ (PLAIN)[key];
     if (String(value) === String(plain)) continue;
     // Commas and colons stay readable in an address that is sent.
-    parts.push(
-      `${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",").replaceAll("%3A", ":")}`,
-    );
+    const text = encodeURIComponent(String(value)).replaceAll("%2C", ",").replaceAll("%3A", ":");
+    parts.push(`${key}=${value === true ? "1" : text}`);
   }
   return parts.length ? `?${parts.join("&")}` : "";
 }

@@ -88,12 +88,14 @@ export class SolimonWaveform extends HTMLElement {
     const { header } = waveform;
     setText(
       this.subtitle,
-      `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
+      `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ` +
+        `${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
     );
     this.fillReadouts();
     this.box.setAttribute(
       "aria-label",
-      `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`,
+      `Record of position ${header.position}: ` +
+        `${[...this.readouts.children].map((group) => group.textContent).join("; ")}`,
     );
     if (this.plot && sameKind) this.plot.setData([waveform.micros, waveform.volts]);
     else this.draw();

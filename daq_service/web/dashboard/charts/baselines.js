@@ -39,10 +39,22 @@ export async function readBaselines(position, method, baseline_h, previous = [],
   );
 }
 
-/** Return the baseline that a set belongs to or is assessed by. @template {{from_h: number}} T @param {T[]} baselines @param {number} hour @returns {T | undefined} */
+/**
+ * Return the baseline that a set belongs to or is assessed by.
+ *
+ * @template {{from_h: number}} T
+ * @param {T[]} baselines
+ * @param {number} hour
+ * @returns {T | undefined}
+ */
 export const baselineAt = (baselines, hour) => baselines.findLast((baseline) => baseline.from_h <= hour + SAME_H);
 
-/** Return the hours in which each was recorded. @param {Baseline[]} baselines @returns {import("./marks.js").Range[]} */
+/**
+ * Return the hours in which each was recorded.
+ *
+ * @param {Baseline[]} baselines
+ * @returns {import("./marks.js").Range[]}
+ */
 export function baselineRanges(baselines) {
   return baselines.map(({ from_h, row: { to_h } }, k) => ({
     from_h: k ? from_h : 0,

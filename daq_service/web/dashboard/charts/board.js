@@ -8,17 +8,30 @@ import { baselineRanges, baselineAt } from "./baselines.js";
 import { isOther, nameOf } from "./other-tests.js";
 import { colorOf, fitLine, mergeHours, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
 
-/** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
+/**
+ * @typedef {import("./chart.js").SolimonChart} SolimonChart
+ * @typedef {import("../view.js").View} View
+ * @typedef {import("./series.js").Line} Line
+ */
 
 /** @param {any} fit @param {number} scale @param {string} unit */
 function equation(fit, scale, unit) {
   if (!fit?.coefficients) return fit?.reason ?? "no fit yet";
   const [c0, c1, c2] = fit.coefficients.map((/** @type {number} */ c) => scale * c);
   const sign = (/** @type {number} */ value) => (value < 0 ? "− " : "+ ") + scientific(Math.abs(value));
-  return `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ${fixed(fit.r_squared, 3)} · residual SD ${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`;
+  return (
+    `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ` +
+    `${fixed(fit.r_squared, 3)} · residual SD ` +
+    `${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`
+  );
 }
 
-/** Return the hours of consecutive missed or disabled sets. @param {any[]} gaps @returns {import("./marks.js").Range[]} */
+/**
+ * Return the hours of consecutive missed or disabled sets.
+ *
+ * @param {any[]} gaps
+ * @returns {import("./marks.js").Range[]}
+ */
 export function gapRanges(gaps) {
   /** @type {any[]} */
   const ranges = [];
@@ -39,14 +52,20 @@ export function gapRanges(gaps) {
   return ranges.map(({ from_h, to_h, label, tone }) => ({ from_h, to_h, label, tone }));
 }
 
-/** Return unscheduled sets as lines with a label. @param {any[]} confirmations @returns {import("./marks.js").Range[]} */
+/**
+ * Return unscheduled sets as lines with a label.
+ *
+ * @param {any[]} confirmations
+ * @returns {import("./marks.js").Range[]}
+ */
 export function confirmationRanges(confirmations) {
   return confirmations.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, label: "confirmation set", tone: "note" }));
 }
 
 export class Board {
   /**
-   * @param {import("../data-loader.js").DataLoader} loader @param {import("./other-tests.js").OtherTests} others of other tests
+   * @param {import("../data-loader.js").DataLoader} loader
+   * @param {import("./other-tests.js").OtherTests} others of other tests
    * @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature
    */
   constructor(loader, others, host, onFeature) {
@@ -99,7 +118,12 @@ export class Board {
     for (const chart of this.all) chart.draw();
   }
 
-  /** Positions of this test that are drawn. @param {View} view @param {string} charted position of the solitary-wave charts */
+  /**
+   * Positions of this test that are drawn.
+   *
+   * @param {View} view
+   * @param {string} charted position of the solitary-wave charts
+   */
   drawn(view, charted) {
     const probes = this.loader.info.positions
       .filter((/** @type {any} */ positionInfo) => positionInfo.method === "pulse_echo")
@@ -246,7 +270,10 @@ export class Board {
       alarms,
       opened,
       endHour: info.schedule.end_h,
-      at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}`,
+      at:
+        `Position ${position}` +
+        (positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : "") +
+        (positions.some(isOther) ? ", each from its own hour 0" : ""),
     };
   }
 
@@ -258,7 +285,14 @@ export class Board {
     return row >= 0 ? columns.due_h[row] : (others.find((one) => one.set_index === index)?.due_h ?? null);
   }
 
-  /** @param {SolimonChart} chart @param {View} view @param {string[]} positions @param {string} field @param {string} key @param {string} short */
+  /**
+   * @param {SolimonChart} chart
+   * @param {View} view
+   * @param {string[]} positions
+   * @param {string} field
+   * @param {string} key
+   * @param {string} short
+   */
   draw(chart, view, positions, field, key, short) {
     const { lines, x, scales, relative, unit, digits, factor } = this.lines(view, positions, field, key, short);
     const { at, of, ...context } = this.context(view, positions);
@@ -279,7 +313,8 @@ export class Board {
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
     const remark = relative
-      ? `relative to each position's own baseline${this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : ""}`
+      ? "relative to each position's own baseline" +
+        (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")
       : fit
         ? equation(fit, factor, unit)
         : "";

@@ -139,7 +139,9 @@ export class SolimonChart extends HTMLElement {
     const last = series.x.length - 1;
     this.canvasBox.setAttribute(
       "aria-label",
-      `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set, n notes something. ${last >= 0 ? this.describe(last) : this.options.empty}`,
+      `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single ` +
+        "values, Enter opens the set, n notes something. " +
+        `${last >= 0 ? this.describe(last) : this.options.empty}`,
     );
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
     const made = JSON.stringify([
@@ -299,7 +301,10 @@ export class SolimonChart extends HTMLElement {
       body.append(row);
     }
     const caption = el("caption", {
-      text: `${this.options.title}: ${rows.length > MAX_TABLE_ROWS ? `the newest ${MAX_TABLE_ROWS} of ` : ""}${rows.length} sets, newest first`,
+      text:
+        `${this.options.title}: ` +
+        `${rows.length > MAX_TABLE_ROWS ? `the newest ${MAX_TABLE_ROWS} of ` : ""}${rows.length} sets, ` +
+        "newest first",
     });
     this.tableBox.replaceChildren(el("table", {}, caption, el("thead", {}, head), body));
   }

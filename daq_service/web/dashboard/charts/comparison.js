@@ -9,7 +9,10 @@ import { swatch } from "./legend.js";
 const TICK_MS = 1000;
 
 export class Comparison {
-  /** @param {import("./other-tests.js").OtherTests} others @param {(part: Partial<import("../view.js").View>) => void} go */
+  /**
+   * @param {import("./other-tests.js").OtherTests} others
+   * @param {(part: Partial<import("../view.js").View>) => void} go
+   */
   constructor(others, go) {
     this.others = others;
     this.go = go;

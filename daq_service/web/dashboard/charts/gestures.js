@@ -17,7 +17,12 @@ export function within([from, to], [first, last]) {
   return [start, start + width];
 }
 
-/** @param {Span} span @param {Span} full @param {number} factor below 1: closer @param {number} centre stays where it is */
+/**
+ * @param {Span} span
+ * @param {Span} full
+ * @param {number} factor below 1: closer
+ * @param {number} centre stays where it is
+ */
 export function zoomed([from, to], full, factor, centre) {
   return within([centre - (centre - from) * factor, centre + (to - centre) * factor], full);
 }

@@ -10,7 +10,11 @@ const SHAPES = [
 /** @type {Record<string, string>} */
 const STROKED = { line: "M1 5h20", cross: "M8 2l6 6M14 2l-6 6", ring: SHAPES[0] };
 
-/** @param {string} color custom property @param {number | "line" | "diamond" | "cross" | "ring"} kind of mark; a number: that shape of points @param {number[]} [dash] */
+/**
+ * @param {string} color custom property
+ * @param {number | "line" | "diamond" | "cross" | "ring"} kind of mark; a number: that shape of points
+ * @param {number[]} [dash]
+ */
 export function swatch(color, kind, dash) {
   const svg = document.createElementNS(SVG, "svg");
   for (const [name, value] of [

@@ -99,7 +99,12 @@ export function drawPoints(u, x, line) {
   });
 }
 
-/** Draw hours with a label at the top (baseline, pause, disabled) or at the bottom (annotation). @param {any} u @param {Range[]} ranges */
+/**
+ * Draw hours with a label at the top (baseline, pause, disabled) or at the bottom (annotation).
+ *
+ * @param {any} u
+ * @param {Range[]} ranges
+ */
 export function drawRanges(u, ranges) {
   const { bbox } = u;
   const ratio = devicePixelRatio;
@@ -140,7 +145,13 @@ export function drawRanges(u, ranges) {
   });
 }
 
-/** Draw alarms as triangles on top, and the opened set as a line. @param {any} u @param {number[]} alarms hours @param {number | null} opened hour */
+/**
+ * Draw alarms as triangles on top, and the opened set as a line.
+ *
+ * @param {any} u
+ * @param {number[]} alarms hours
+ * @param {number | null} opened hour
+ */
 export function drawMoments(u, alarms, opened) {
   const { bbox } = u;
   const ratio = devicePixelRatio;

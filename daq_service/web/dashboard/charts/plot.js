@@ -6,7 +6,11 @@ import { attach } from "./gestures.js";
 import { drawMoments, drawPoints, drawRanges } from "./marks.js";
 import { missing } from "./series.js";
 
-/** @typedef {import("./chart.js").Series} Series @typedef {import("./chart.js").Host} Host @typedef {import("./gestures.js").Span} Span */
+/**
+ * @typedef {import("./chart.js").Series} Series
+ * @typedef {import("./chart.js").Host} Host
+ * @typedef {import("./gestures.js").Span} Span
+ */
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
 const CURSOR_KEY = "hours";
@@ -17,7 +21,12 @@ function decades(_u, splits) {
   return splits.map((v) => (Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-6 ? v : null));
 }
 
-/** Return the full span of the axis; it grows in steps, so that a new set does not move everything. @param {Series} series @returns {Span} */
+/**
+ * Return the full span of the axis; it grows in steps, so that a new set does not move everything.
+ *
+ * @param {Series} series
+ * @returns {Span}
+ */
 export function fullSpan({ x, endHour }) {
   const max = x.length ? x[x.length - 1] : 1;
   const step = max <= 30 ? 6 : max <= 120 ? 24 : 50;
@@ -32,7 +41,15 @@ function yRange(log, min, max) {
   return [min - pad, max + pad];
 }
 
-/** Extend the range of y to the extremes of bins, which no line reaches. @param {any} u @param {import("./series.js").Line[]} lines @param {number | null} min @param {number | null} max @returns {[number | null, number | null]} */
+/**
+ * Extend the range of y to the extremes of bins, which no line reaches.
+ *
+ * @param {any} u
+ * @param {import("./series.js").Line[]} lines
+ * @param {number | null} min
+ * @param {number | null} max
+ * @returns {[number | null, number | null]}
+ */
 function extremes(u, lines, min, max) {
   const [from, to] = u.series[0].idxs ?? [0, -1];
   for (const { low, high } of lines) {

@@ -71,7 +71,13 @@ export function baselineMean(trend, field) {
     : null;
 }
 
-/** Return a scale in percent relative to the baseline in force; null without one. @param {import("./baselines.js").Baseline[]} baselines @param {string} field @returns {Scale} */
+/**
+ * Return a scale in percent relative to the baseline in force; null without one.
+ *
+ * @param {import("./baselines.js").Baseline[]} baselines
+ * @param {string} field
+ * @returns {Scale}
+ */
 export function relativeTo(baselines, field) {
   const means = baselines.map((baseline) => ({ from_h: baseline.from_h, mean: baselineMean(baseline.trend, field) }));
   return (value, hour) => {
@@ -84,7 +90,8 @@ export function relativeTo(baselines, field) {
  * Merge the hours of several positions into one axis.
  *
  * @param {number[][]} hours of each position
- * @returns {{x: number[], rows: (number[] | null)[]}} rows: per position the row of each x, -1 for none; null: unchanged
+ * @returns {{x: number[], rows: (number[] | null)[]}} rows: per position the row of each x, -1 for none; null:
+ *   unchanged
  */
 export function mergeHours(hours) {
   const [first, ...others] = hours;
@@ -105,7 +112,13 @@ export function onAxis(column, rows) {
   return rows === null ? column : rows.map((row) => (row < 0 ? null : column[row]));
 }
 
-/** Return whether a set is missing between two points of a line. @param {Line} line @param {number} a @param {number} b rows */
+/**
+ * Return whether a set is missing between two points of a line.
+ *
+ * @param {Line} line
+ * @param {number} a
+ * @param {number} b rows
+ */
 export function missing({ firsts, step }, a, b) {
   const [before, after] = [firsts?.[a], firsts?.[b]];
   return (

@@ -53,7 +53,12 @@ export class Toolbar {
     this.linked = "";
   }
 
-  /** @param {View} view @param {string} charted @param {any} info @param {import("../timeline.js").Timeline} timeline */
+  /**
+   * @param {View} view
+   * @param {string} charted
+   * @param {any} info
+   * @param {import("../timeline.js").Timeline} timeline
+   */
   update(view, charted, info, timeline) {
     const positions = info.positions
       .filter((/** @type {any} */ positionInfo) => positionInfo.method === "solitary_wave")
@@ -83,7 +88,8 @@ export class Toolbar {
     const text =
       view.from_h === null || view.to_h === null
         ? ""
-        : `hour ${fixed(view.from_h, 1)} to ${fixed(view.to_h, 1)}${timeline.axis === "hours" ? "" : ` · ${timeline.text(view.from_h)} to ${timeline.text(view.to_h)}`}`;
+        : `hour ${fixed(view.from_h, 1)} to ${fixed(view.to_h, 1)}` +
+          (timeline.axis === "hours" ? "" : ` · ${timeline.text(view.from_h)} to ${timeline.text(view.to_h)}`);
     setText(this.span, text);
     if (this.linked !== location.href) setText(this.link.status, "");
     this.linked = location.href;

@@ -26,7 +26,11 @@ const KINDS = [
   ["Orders", COMMAND_KINDS],
   ["Logins and tokens", LOGIN_KINDS],
 ];
-/** Start and end of each range in days before the last midnight, by this browser's clock. @type {[string, number | null, number | null][]} */
+/**
+ * Start and end of each range in days before the last midnight, by this browser's clock.
+ *
+ * @type {[string, number | null, number | null][]}
+ */
 const RANGES = [
   ["Any time", null, null],
   ["Today", 0, null],

@@ -1,4 +1,5 @@
-// Offer the commands that change the test for good: stop, disable, supply. Disabled, with the reason, where the role does not allow them.
+// Offer the commands that change the test for good: stop, disable, supply. Disabled, with the reason, where the role
+// does not allow them.
 
 import { byId, el, setText } from "../dom.js";
 import { duration, significant } from "../format.js";
@@ -22,7 +23,11 @@ function number(name, label, value, maximum) {
 /** @param {any} supply of /info */
 function supplyEndText(supply) {
   const endText = supply.off_at_end ? " at the end of the test," : "";
-  return `It goes off by the order below, at ${significant(supply.interlock_current_a)} A or more (interlock),${endText} and ${duration(supply.unwatched_s)} after the recorder is gone. Once off it never goes on again by itself.`;
+  return (
+    `It goes off by the order below, at ${significant(supply.interlock_current_a)} A or more ` +
+    `(interlock),${endText} and ${duration(supply.unwatched_s)} after the recorder is gone. Once off ` +
+    "it never goes on again by itself."
+  );
 }
 
 /** @type {Record<string, (info: any, position: string) => Question>} */
@@ -30,7 +35,8 @@ const QUESTIONS = {
   stop: ({ supply }) => ({
     title: "Stop the test",
     paragraphs: [
-      "The recorder ends after the shot that is being taken. From then on nothing is recorded: sets that fall due are missed, and what is stored stays.",
+      "The recorder ends after the shot that is being taken. From then on nothing is recorded: sets " +
+        "that fall due are missed, and what is stored stays.",
       ...(supply === null
         ? []
         : [
@@ -45,7 +51,8 @@ const QUESTIONS = {
   retire: (_, position) => ({
     title: `Retire position ${position}`,
     paragraphs: [
-      `Position ${position} strikes no more, from its next shot on. No sets will come from it, and what falls due meanwhile cannot be made up for; the other positions go on.`,
+      `Position ${position} strikes no more, from its next shot on. No sets will come from it, and what ` +
+        "falls due meanwhile cannot be made up for; the other positions go on.",
       "It stays so over restarts. To take it back, press Reinstate beside its notice.",
     ],
     submitLabel: `Retire ${position}`,
@@ -54,9 +61,11 @@ const QUESTIONS = {
   supply_on: ({ supply }) => ({
     title: "Switch the supply on",
     paragraphs: [
-      "The wall corrodes and the cell makes hydrogen for as long as the supply is on: air the tank, and keep hands out of it. Corrosion cannot be taken back.",
+      "The wall corrodes and the cell makes hydrogen for as long as the supply is on: air the tank, and " +
+        "keep hands out of it. Corrosion cannot be taken back.",
       supplyEndText(supply),
-      `At most ${significant(supply.voltage_cap_v)} V and ${significant(supply.current_cap_a)} A are allowed. If it is on already, it takes over these values.`,
+      `At most ${significant(supply.voltage_cap_v)} V and ${significant(supply.current_cap_a)} A are ` +
+        "allowed. If it is on already, it takes over these values.",
     ],
     submitLabel: ({ voltage_v, current_limit_a }) => `Switch on: ${voltage_v} V, at most ${current_limit_a} A`,
     fields: [
@@ -68,7 +77,8 @@ const QUESTIONS = {
   supply_off: () => ({
     title: "Switch the supply off",
     paragraphs: [
-      "Corrosion ends. The supply stays off, over restarts too, until somebody switches it on here or with `solimon supply --on`.",
+      "Corrosion ends. The supply stays off, over restarts too, until somebody switches it on here or " +
+        "with `solimon supply --on`.",
     ],
     submitLabel: "Switch off",
     fields: [NOTE],

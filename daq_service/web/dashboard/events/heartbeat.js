@@ -7,7 +7,10 @@ const MISSED_BEATS = 2.2;
 const CONNECT_S = 10;
 
 export class HeartbeatMonitor {
-  /** @param {number} intervalS between heartbeats, until one states another interval @param {() => void} onTimeout called after each silence */
+  /**
+   * @param {number} intervalS between heartbeats, until one states another interval
+   * @param {() => void} onTimeout called after each silence
+   */
   constructor(intervalS, onTimeout) {
     this.intervalS = intervalS;
     this.onTimeout = onTimeout;

@@ -16,7 +16,11 @@ export const HEARTBEAT_S = 15;
  */
 
 export class Source {
-  /** @param {number} after id of the last event that is known already @param {Listener} listener @param {string} base path of the test */
+  /**
+   * @param {number} after id of the last event that is known already
+   * @param {Listener} listener
+   * @param {string} base path of the test
+   */
   constructor(after, listener, base) {
     this.base = base;
     this.lastId = after;

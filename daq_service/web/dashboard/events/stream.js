@@ -10,7 +10,10 @@ const NAME = "solimon-events-3";
 const MISSED_BEATS = 3;
 
 export class EventStream {
-  /** @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers */
+  /**
+   * @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}}
+   *   handlers
+   */
   constructor(handlers) {
     this.handlers = handlers;
     this.lastId = -1;

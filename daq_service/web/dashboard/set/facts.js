@@ -72,7 +72,9 @@ export function features({ feature, assessment }, units) {
         known ? bar(total ? value / total : 0, significant(value)) : el("td", { text: "" }),
       );
     });
-  const caption = `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, quality ${feature.quality}; the last column is each feature's part of D²`;
+  const caption =
+    `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, ` +
+    `quality ${feature.quality}; the last column is each feature's part of D²`;
   return section("Features", table(caption, ["Feature", "Value", "Part of D²"], rows));
 }
 
@@ -81,6 +83,11 @@ export function distance({ assessment }, limits) {
   if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not judged." }));
   const { cause_told: diagnosis } = assessment;
   const limit = limitOf(assessment);
+  const limitNames = /** @type {Record<string, string>} */ ({
+    paper_mean_3sd: "paper's mean + 3 SD",
+    f_predictive: `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms`,
+  });
+  const limitName = limitNames[assessment.limit_name] ?? assessment.limit_name;
   const result = assessment.in_baseline
     ? "part of the baseline"
     : assessment.outlier === null
@@ -92,10 +99,7 @@ export function distance({ assessment }, limits) {
     "Distance",
     list([
       ["D²", significant(assessment.distance_squared)],
-      [
-        "Limit of outliers",
-        `${significant(limit)} (${assessment.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : assessment.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : assessment.limit_name})`,
-      ],
+      ["Limit of outliers", `${significant(limit)} (${limitName})`],
       [
         "Times the limit",
         limit && assessment.distance_squared !== null ? significant(assessment.distance_squared / limit) : NONE,
@@ -115,7 +119,12 @@ export function distance({ assessment }, limits) {
   );
 }
 
-/** List all limits of the service with the values that they bound. @param {any} assessment @param {any[]} limits of /info */
+/**
+ * List all limits of the service with the values that they bound.
+ *
+ * @param {any} assessment
+ * @param {any[]} limits of /info
+ */
 function limitTable(assessment, limits) {
   /** @type {Record<string, number | null>} */
   const values = { ...assessment.statistics, distance_squared: assessment.distance_squared, chart: assessment.chart };
@@ -200,6 +209,8 @@ export function climate({ environment: row }) {
 /** @param {SetData} data @param {any} info */
 export function provenance({ set, feature, assessment, baseline }, info) {
   if (set === null) return null;
+  const sets = baseline && `sets ${baseline.first_set_index} to ${baseline.last_set_index}`;
+  const baselineText = baseline && ` (${baseline.name}, ${sets}, approval ${baseline.approval})`;
   const identity = Object.entries(info.rig_identity).map(([name, value]) => `${name} ${value}`);
   const serial = info.positions.find(
     (/** @type {any} */ positionInfo) => positionInfo.position === set.position,
@@ -213,17 +224,13 @@ export function provenance({ set, feature, assessment, baseline }, info) {
       ["Age", `${hour(set.age_h)} h`],
       [
         "Records",
-        `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned${set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""}`,
+        `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned` +
+          (set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""),
       ],
       ["Rig", [info.rig_label, ...identity].join(", ")],
       ["Transducer", serial ?? NONE],
       ["Extractor", feature?.extractor_version ?? NONE],
-      [
-        "Baseline",
-        assessment?.baseline_id == null
-          ? NONE
-          : `${assessment.baseline_id}${baseline ? ` (${baseline.name}, sets ${baseline.first_set_index} to ${baseline.last_set_index}, approval ${baseline.approval})` : ""}`,
-      ],
+      ["Baseline", assessment?.baseline_id == null ? NONE : `${assessment.baseline_id}${baselineText ?? ""}`],
       ["Configuration", info.configuration_hash.slice(0, 16)],
     ]),
   );

@@ -381,9 +381,12 @@ export class SolimonSet extends HTMLElement {
       this.legend.prepend(el("li", {}, swatch("--data", "line"), `${stored.waveforms.length} shots`));
     if (stored?.header.n_damaged)
       this.legend.append(el("li", { text: `${stored.header.n_damaged} damaged records are left out` }));
+    const marks = overlay.marks.map(
+      (mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`,
+    );
     this.box.setAttribute(
       "aria-label",
-      `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${overlay.marks.map((mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`).join("; ")}`,
+      `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${marks.join("; ")}`,
     );
     if (!this.box.clientWidth || !this.box.clientHeight) return;
     const host = {
@@ -399,7 +402,8 @@ export class SolimonSet extends HTMLElement {
         this.readout,
         index < 0
           ? ""
-          : `${overlay.micros[index].toFixed(2)} µs · ${overlay.traces[overlay.traces.length - 1].volts[index].toFixed(4)} V`,
+          : `${overlay.micros[index].toFixed(2)} µs · ` +
+              `${overlay.traces[overlay.traces.length - 1].volts[index].toFixed(4)} V`,
       ),
     );
   }

@@ -21,7 +21,12 @@ export async function readWaveforms(position, index) {
   return { header, waveforms };
 }
 
-/** Return the mean of waveforms of one length, sample by sample; null: there are none. @param {Waveform[]} waveforms @returns {Float64Array | null} */
+/**
+ * Return the mean of waveforms of one length, sample by sample; null: there are none.
+ *
+ * @param {Waveform[]} waveforms
+ * @returns {Float64Array | null}
+ */
 export function mean(waveforms) {
   if (!waveforms.length) return null;
   const sum = new Float64Array(waveforms[0].volts.length);

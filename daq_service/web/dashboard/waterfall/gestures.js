@@ -67,7 +67,12 @@ export function attach(box, surface) {
   touch(box, surface);
 }
 
-/** Move the hours with one finger, and zoom each axis by the distance of two fingers. @param {HTMLElement} box @param {Surface} surface */
+/**
+ * Move the hours with one finger, and zoom each axis by the distance of two fingers.
+ *
+ * @param {HTMLElement} box
+ * @param {Surface} surface
+ */
 function touch(box, { hours, seconds, bounds }) {
   /** Where each finger is. @type {Map<number, {x: number, y: number}>} */
   const fingers = new Map();

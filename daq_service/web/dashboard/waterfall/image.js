@@ -47,7 +47,13 @@ export function rowAt(header, hour) {
   return low > 0 && hour < header.until_h[low - 1] ? low - 1 : -1;
 }
 
-/** Return the set at an hour, of several in a row the closest one; null: a gap. @param {any} header @param {number} hour @returns {number | null} */
+/**
+ * Return the set at an hour, of several in a row the closest one; null: a gap.
+ *
+ * @param {any} header
+ * @param {number} hour
+ * @returns {number | null}
+ */
 export function setAt(header, hour) {
   const row = rowAt(header, hour);
   if (row < 0) return null;

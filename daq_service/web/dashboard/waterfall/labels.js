@@ -10,7 +10,13 @@ export function anchorOf({ align }) {
   return align === "isw" ? "ISW" : align === "first_echo" ? "first echo" : "trigger";
 }
 
-/** Return the thickness that corresponds to times; from the first echo, the difference in thickness. @param {any} header @param {Span} seconds @returns {{span: Span, label: string} | null} null: the position has none */
+/**
+ * Return the thickness that corresponds to times; from the first echo, the difference in thickness.
+ *
+ * @param {any} header
+ * @param {Span} seconds
+ * @returns {{span: Span, label: string} | null} null: the position has none
+ */
 export function thicknessOf({ velocity_m_per_s: velocity, delay_s: delay, align }, seconds) {
   if (velocity === null) return null;
   const from = align === "trigger" ? delay : 0;
@@ -38,15 +44,29 @@ export function subtitleOf(header) {
   const each = header.row_sets === 1 ? "a set a row" : `${header.row_sets} sets a row`;
   const waits = header.pending_sets ? ` · ${header.pending_sets} sets are still being read` : "";
   const lost = header.unreadable_sets.length ? ` · cannot be read: set ${header.unreadable_sets.join(", ")}` : "";
-  return `${values(header)}, ${each}, ${significant(1e6 * header.cell_s)} µs a cell: its sample furthest from zero${waits}${lost}`;
+  return (
+    `${values(header)}, ${each}, ${significant(1e6 * header.cell_s)} µs a cell: its sample furthest ` +
+    `from zero${waits}${lost}`
+  );
 }
 
 /** Return the same for screen readers. @param {any} header */
 export function labelOf(header) {
-  return `Waterfall of position ${header.position}: ${values(header)}, ${header.rows} rows from hour ${fixed(header.first_h[0], 1)} to ${fixed(header.last_h.at(-1), 1)}, time from the ${anchorOf(header)}. Arrow keys move a cursor that reads values, Page Up and Page Down zoom in time, Enter opens the set.`;
+  return (
+    `Waterfall of position ${header.position}: ${values(header)}, ${header.rows} rows from hour ` +
+    `${fixed(header.first_h[0], 1)} to ${fixed(header.last_h.at(-1), 1)}, time from the ` +
+    `${anchorOf(header)}. Arrow keys move a cursor that reads values, Page Up and Page Down zoom in ` +
+    "time, Enter opens the set."
+  );
 }
 
-/** Return the value under the cursor. @param {import("./image.js").WaterfallImage} image @param {Cursor} cursor @param {import("../timeline.js").Timeline} timeline */
+/**
+ * Return the value under the cursor.
+ *
+ * @param {import("./image.js").WaterfallImage} image
+ * @param {Cursor} cursor
+ * @param {import("../timeline.js").Timeline} timeline
+ */
 export function readoutOf({ header, minimum: minimum, maximum: maximum }, { hour, seconds }, timeline) {
   const row = rowAt(header, hour);
   const column = columnAt(header, seconds);

@@ -16,7 +16,12 @@ export function fieldsOf(method) {
   return TRACKS[method].map(({ field }) => field);
 }
 
-/** Return the tracks in the time of the image; a pulse that was never found has none. @param {any} header @param {Record<string, any[]>} columns */
+/**
+ * Return the tracks in the time of the image; a pulse that was never found has none.
+ *
+ * @param {any} header
+ * @param {Record<string, any[]>} columns
+ */
 export function tracksOf({ method, align }, columns) {
   const [{ field: anchor }] = TRACKS[method];
   const from = (/** @type {number} */ k) => (align === "trigger" ? 0 : columns[anchor][k]);

@@ -19,7 +19,15 @@ function keepExtreme(values, at, value) {
   if (!Number.isNaN(value) && !(Math.abs(values[at]) >= Math.abs(value))) values[at] = value;
 }
 
-/** Paint the image pixel by pixel: of all cells that a pixel touches, the value furthest from zero. @param {CanvasRenderingContext2D} context @param {WaterfallImage} image @param {Span} hours @param {Span} seconds @param {number} limit */
+/**
+ * Paint the image pixel by pixel: of all cells that a pixel touches, the value furthest from zero.
+ *
+ * @param {CanvasRenderingContext2D} context
+ * @param {WaterfallImage} image
+ * @param {Span} hours
+ * @param {Span} seconds
+ * @param {number} limit
+ */
 export function paint(context, image, hours, seconds, limit) {
   const { width, height } = context.canvas;
   const { header } = image;

@@ -14,7 +14,11 @@ import { ImageLoader } from "./image-loader.js";
 import { tableOf } from "./table.js";
 import { anchorOf, labelOf, readoutOf, subtitleOf, thicknessOf } from "./labels.js";
 
-/** @typedef {import("./image.js").WaterfallImage} WaterfallImage @typedef {import("./labels.js").Span} Span @typedef {import("./labels.js").Cursor} Cursor */
+/**
+ * @typedef {import("./image.js").WaterfallImage} WaterfallImage
+ * @typedef {import("./labels.js").Span} Span
+ * @typedef {import("./labels.js").Cursor} Cursor
+ */
 /**
  * @typedef {object} Host
  * @property {() => any} info null: the chosen position is not known yet
