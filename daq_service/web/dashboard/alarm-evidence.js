@@ -37,7 +37,7 @@ const trendReader = (fields, exceeds) => async (/** @type {any} */ alarm, /** @t
 };
 
 /** @param {any} alarm @param {{from_h: number, to_h: number}} range @returns {Promise<AssessedSet[]>} */
-async function validShots(alarm, { from_h, to_h }) {
+async function readValidShots(alarm, { from_h, to_h }) {
   const { items } = await get(`/sets?position=${alarm.position}&from_h=${from_h}&to_h=${to_h}&limit=100`);
   const minimum = alarm.proof.minimum_valid_shots;
   return items.map((/** @type {any} */ set) => ({
@@ -55,7 +55,7 @@ const SHOTS = {
   unit: "1",
   digits: 0,
   limit: "minimum_valid_shots",
-  read: validShots,
+  read: readValidShots,
 };
 const WALL = ["distance_squared", "outlier"];
 /**
@@ -226,7 +226,7 @@ export class AlarmEvidence {
           y: assessed.map((one) => inUnit(one.value)),
           position: alarm.position,
           sets,
-          firsts: sets,
+          firstSets: sets,
           step: 1,
           quality: assessed.map((one) => one.quality),
           outlier: assessed.map((one) => one.exceeds),

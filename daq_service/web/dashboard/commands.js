@@ -20,7 +20,7 @@ export async function sendCommand(kind, args, report) {
 }
 
 /**
- * Give an order by a button, which tells receives the status of the command.
+ * Send a command by a button, which shows its status.
  *
  * @param {HTMLButtonElement} button @param {string} kind @param {object} args @param {(text: string) => void} onTrouble
  * @returns {Promise<boolean>} whether it was carried out

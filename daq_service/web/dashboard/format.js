@@ -83,10 +83,10 @@ export function utc(text) {
  */
 export function ageText(standing, data, sinceS) {
   const wall = standing.wall_age_s === null ? NONE : `${duration(standing.wall_age_s + sinceS)} ago`;
-  const grown = standing.clock === "wall" ? sinceS / 3600 : 0;
+  const elapsedH = standing.clock === "wall" ? sinceS / 3600 : 0;
   const last =
     data.data_h === null
       ? "nothing measured yet"
-      : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + grown, 1)} h old`;
+      : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + elapsedH, 1)} h old`;
   return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
 }

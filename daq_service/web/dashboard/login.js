@@ -6,7 +6,7 @@ import { byId, el, setText } from "./dom.js";
 /** @typedef {import("./control/session.js").Session} Session */
 
 /** Wait until this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
-export async function admitted() {
+export async function waitForLogin() {
   /** @type {Session} */
   let session = await get("/session");
   if (session.role === null) session = await loggedIn();

@@ -22,7 +22,7 @@ import { tiles } from "./startup.js";
 import { hour, significant, utc } from "./format.js";
 import { PauseControl } from "./pause.js";
 import { RECORDER, chip } from "./icons.js";
-import { admitted } from "./login.js";
+import { waitForLogin } from "./login.js";
 import { SolimonNotes } from "./notes.js";
 import { Notifications } from "./notifications.js";
 import { sendByButton } from "./commands.js";
@@ -63,7 +63,7 @@ const address = new Address(show);
 /** @type {DataLoader} */
 const data = new DataLoader({
   drawn: () => board.drawn(address.view, chartedPosition()).all,
-  onStart: onBegin,
+  onStart,
   onRead,
   onColumns,
   onDetails: showColumns,
@@ -260,7 +260,7 @@ function showAll() {
 
 // ---- reading ----------------------------------------------------------------------------------
 
-function onBegin() {
+function onStart() {
   operatorPrompt.show(data.info.asked);
   showInfo();
   showAll();
@@ -464,7 +464,7 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
-startSession(await admitted());
+startSession(await waitForLogin());
 new Audit();
 data.feature = address.view.feature;
 data.span = address.span;

@@ -28,7 +28,7 @@ const yOf = (volts, half, height) => MARGIN.top + ((half - volts) / (2 * half)) 
 
 /**
  * @param {HTMLCanvasElement} canvas
- * @param {Envelope[]} envelopes oldest first; the newest is drawn on top, in full colour
+ * @param {Envelope[]} envelopes oldest first; the newest is drawn on top, in full color
  * @param {Lines} lines
  */
 function draw(canvas, envelopes, lines) {

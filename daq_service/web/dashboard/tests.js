@@ -5,7 +5,7 @@ import { byId, el, setText } from "./dom.js";
 import { UpdateFailure } from "./update-failure.js";
 import { ageText, hour } from "./format.js";
 import { RECORDER, SEVERITIES, STATES, chip } from "./icons.js";
-import { admitted } from "./login.js";
+import { waitForLogin } from "./login.js";
 import { Theme } from "./theme.js";
 
 const REFRESH_MS = 5000;
@@ -131,5 +131,5 @@ const theme = new Theme(
 theme.show();
 setInterval(tick, TICK_MS);
 document.addEventListener("visibilitychange", read);
-await admitted();
+await waitForLogin();
 await poll();

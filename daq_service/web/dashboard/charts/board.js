@@ -6,7 +6,7 @@ import { notesOn } from "../notes.js";
 import { isFeature, featureLabel } from "./features.js";
 import { baselineRanges, baselineAt } from "./baselines.js";
 import { isOther, nameOf } from "./other-tests.js";
-import { colorOf, fitLine, mergeHours, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
+import { colorOf, fitLine, mergeHours, onAxis, relativeTo, scaleValues, shownUnit } from "./series.js";
 
 /**
  * @typedef {import("./chart.js").SolimonChart} SolimonChart
@@ -212,7 +212,7 @@ export class Board {
         : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
       const inUnit = (/** @type {(number | null)[]} */ values) =>
-        onAxis(scaled(values, columns[k].due_h, scale), rows[k]);
+        onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
@@ -234,7 +234,7 @@ export class Board {
             : columns[k].set_index,
           rows[k],
         ),
-        firsts: onAxis(columns[k].set_index, rows[k]),
+        firstSets: onAxis(columns[k].set_index, rows[k]),
         step: trends[k].bin_sets,
         ...(trends[k].bins?.minimum[field]
           ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }

@@ -221,7 +221,7 @@ export class SolimonChart extends HTMLElement {
     const at = this.cursor < 0 ? x.length - 1 : this.cursor;
     const full = () => fullSpan(this.series);
     const span = () => this.host.span() ?? full();
-    if (onZoomKey(event, { span, full, show: (to) => this.host.show(to, true), centre: () => x[at] })) return;
+    if (onZoomKey(event, { span, full, show: (to) => this.host.show(to, true), center: () => x[at] })) return;
     if (event.key === "Enter" || event.key === "n") {
       event.preventDefault();
       if (event.key === "n") this.host.note(x[at], true);
@@ -279,9 +279,8 @@ export class SolimonChart extends HTMLElement {
 
   fillTable() {
     const { x, lines, unit } = this.series;
-    const shown = lines.filter((line) => line.tabled !== false);
     const head = el("tr", {}, el("th", { scope: "col", text: "Hour" }));
-    for (const line of shown) head.append(el("th", { scope: "col", text: `${line.label}${unit ? ` (${unit})` : ""}` }));
+    for (const line of lines) head.append(el("th", { scope: "col", text: `${line.label}${unit ? ` (${unit})` : ""}` }));
     const [first] = lines;
     if (first?.quality) head.append(el("th", { scope: "col", text: "Quality" }));
     const body = el("tbody");
@@ -296,7 +295,7 @@ export class SolimonChart extends HTMLElement {
       });
       openButton.addEventListener("click", () => this.open(first, k));
       const row = el("tr", {}, el("td", {}, openButton));
-      for (const line of shown) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
+      for (const line of lines) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
       if (first.quality) row.append(el("td", { text: first.quality[k] ?? NONE }));
       body.append(row);
     }

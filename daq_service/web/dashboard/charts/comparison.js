@@ -40,7 +40,7 @@ export class Comparison {
     this.root.hidden = !others.items.length && !chosen.length;
     const states = chosen.map((entry) => [
       entry,
-      others.listed(entry)?.standing?.recorder,
+      others.testOf(entry)?.standing?.recorder,
       others.positionInfo(entry)?.state,
       others.errors.get(entry),
     ]);
@@ -96,7 +96,7 @@ export class Comparison {
     const row = el("li", {}, swatch("--ink", "line", [5, 4]), el("strong", { text: nameOf(entry) }));
     row.dataset.entry = entry;
     if (positionInfo)
-      row.append(chip(STATES[positionInfo.state]), chip(RECORDER[others.listed(entry).standing.recorder]));
+      row.append(chip(STATES[positionInfo.state]), chip(RECORDER[others.testOf(entry).standing.recorder]));
     row.append(el("span", { class: "quiet small compared-age" }), removeButton);
     return row;
   }
@@ -105,7 +105,7 @@ export class Comparison {
     for (const row of this.list.children) {
       const entry = /** @type {HTMLElement} */ (row).dataset.entry ?? "";
       const { others } = this;
-      const [listed, positionInfo] = [others.listed(entry), others.positionInfo(entry)];
+      const [listed, positionInfo] = [others.testOf(entry), others.positionInfo(entry)];
       const age = positionInfo
         ? ageText(listed.standing, positionInfo, listed.looked_age_s + (performance.now() - others.readAt) / 1000)
         : "";

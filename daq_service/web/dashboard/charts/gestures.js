@@ -21,10 +21,10 @@ export function within([from, to], [first, last]) {
  * @param {Span} span
  * @param {Span} full
  * @param {number} factor below 1: closer
- * @param {number} centre stays where it is
+ * @param {number} center stays where it is
  */
-export function zoomed([from, to], full, factor, centre) {
-  return within([centre - (centre - from) * factor, centre + (to - centre) * factor], full);
+export function zoomed([from, to], full, factor, center) {
+  return within([center - (center - from) * factor, center + (to - center) * factor], full);
 }
 
 /** Return the zoom factor of a turn of the wheel. @param {WheelEvent} event @param {number} turned */
@@ -42,7 +42,7 @@ export function panned([from, to], full, by) {
  * @property {() => Span} span shown now
  * @property {() => Span} full
  * @property {(span: Span | null) => void} show null: the full span
- * @property {() => number} centre where keys zoom to
+ * @property {() => number} center where keys zoom to
  */
 
 /** @param {KeyboardEvent} event @param {Zoomable} axis @returns {boolean} whether the key was one of these */
@@ -50,8 +50,8 @@ export function onZoomKey(event, axis) {
   const span = axis.span();
   const by = PAN_FRACTION * (span[1] - span[0]);
   if (event.ctrlKey || event.altKey || event.metaKey) return false;
-  if (event.key === "+" || event.key === "=") axis.show(zoomed(span, axis.full(), 1 / PER_NOTCH ** 2, axis.centre()));
-  else if (event.key === "-") axis.show(zoomed(span, axis.full(), PER_NOTCH ** 2, axis.centre()));
+  if (event.key === "+" || event.key === "=") axis.show(zoomed(span, axis.full(), 1 / PER_NOTCH ** 2, axis.center()));
+  else if (event.key === "-") axis.show(zoomed(span, axis.full(), PER_NOTCH ** 2, axis.center()));
   else if (event.key === "0") axis.show(null);
   else if (event.shiftKey && event.key === "ArrowLeft") axis.show(panned(span, axis.full(), -by));
   else if (event.shiftKey && event.key === "ArrowRight") axis.show(panned(span, axis.full(), by));

@@ -67,13 +67,13 @@ export class OtherTests {
   }
 
   /** @param {string} entry @returns {any} its test in the service's list */
-  listed(entry) {
+  testOf(entry) {
     return this.items.find((item) => item.test === parseEntry(entry).test);
   }
 
   /** @param {string} entry @returns {any} state of its position */
   positionInfo(entry) {
-    return this.listed(entry)?.standing?.positions.find(
+    return this.testOf(entry)?.standing?.positions.find(
       (/** @type {any} */ positionInfo) => positionInfo.position === parseEntry(entry).position,
     );
   }
@@ -106,7 +106,7 @@ export class OtherTests {
     const { test, position } = parseEntry(entry);
     const positionInfo = this.positionInfo(entry);
     if (!positionInfo) {
-      this.errors.set(entry, this.listed(entry)?.detail ?? `this service has no ${nameOf(entry)}`);
+      this.errors.set(entry, this.testOf(entry)?.detail ?? `this service has no ${nameOf(entry)}`);
       this.trends.delete(entry);
       return;
     }

@@ -81,7 +81,7 @@ function lineOptions(line, series) {
     const { x, lines } = series();
     const drawnLine = lines[index - 1];
     // A plot that was replaced by one with fewer lines may still draw its queue.
-    if (!drawnLine?.firsts) return found;
+    if (!drawnLine?.firstSets) return found;
     const all = [...found];
     for (let k = from + 1; k <= to; k++)
       if (missing(drawnLine, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
@@ -200,7 +200,7 @@ export function makePlot(box, options, host, series, handlers) {
     span,
     full,
     show: (to) => host.show(to, true),
-    centre: () => (span()[0] + span()[1]) / 2,
+    center: () => (span()[0] + span()[1]) / 2,
   });
   over.addEventListener("mousedown", (event) => void (pressed = event.clientX));
   over.addEventListener("click", (event) => Math.abs(event.clientX - pressed) < CLICK_PX && handlers.onClick(plot));

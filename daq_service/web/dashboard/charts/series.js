@@ -12,10 +12,9 @@ import { baselineAt } from "./baselines.js";
  * @property {boolean} points points with a thin line between them; else a line
  * @property {number} [shape] of its points
  * @property {number[]} [dash]
- * @property {boolean} [tabled] false: not a column of the table
  * @property {string} [position] position of these sets
  * @property {(number | null)[]} [sets] set that each point opens; null: none
- * @property {(number | null)[]} [firsts] first set of each
+ * @property {(number | null)[]} [firstSets] first set of each
  * @property {number} [step] sets of each: above 1 they are bins
  * @property {(number | null)[]} [low] minimum of each bin
  * @property {(number | null)[]} [high] maximum of each bin
@@ -49,7 +48,7 @@ export function shownUnit(unit) {
 }
 
 /** @param {(number | null)[]} values @param {number[]} hours of each @param {Scale} scale */
-export function scaled(values, hours, scale) {
+export function scaleValues(values, hours, scale) {
   return values.map((value, k) => (value === null ? null : scale(value, hours[k])));
 }
 
@@ -119,8 +118,8 @@ export function onAxis(column, rows) {
  * @param {number} a
  * @param {number} b rows
  */
-export function missing({ firsts, step }, a, b) {
-  const [before, after] = [firsts?.[a], firsts?.[b]];
+export function missing({ firstSets, step }, a, b) {
+  const [before, after] = [firstSets?.[a], firstSets?.[b]];
   return (
     before !== null && before !== undefined && after !== null && after !== undefined && after > before + (step ?? 1)
   );

@@ -8,9 +8,9 @@ const RETRY_MS = 1000;
 export const HEARTBEAT_S = 15;
 
 /**
- * @typedef {{topic: string, id: number, event: any}} News
+ * @typedef {{topic: string, id: number, event: any}} StreamEvent
  * @typedef {object} Listener
- * @property {(news: News) => void} onNews
+ * @property {(news: StreamEvent) => void} onEvent
  * @property {(id: number) => void} onGap events before this id are lost: read all data again
  * @property {(open: boolean) => void} onState
  */
@@ -32,7 +32,7 @@ export class Source {
     this.wake(true);
   }
 
-  /** Connect after the last event, or close the connection while nobody looks. @param {boolean} awake */
+  /** Connect after the last event, or close the connection while the page is hidden. @param {boolean} awake */
   wake(awake) {
     if (awake === (this.source !== null)) return;
     if (awake) return this.connect();
@@ -62,7 +62,7 @@ export class Source {
     for (const topic of TOPICS) {
       source.addEventListener(topic, (message) => {
         this.lastId = Number(message.lastEventId);
-        this.listener.onNews({ topic, id: this.lastId, event: JSON.parse(message.data) });
+        this.listener.onEvent({ topic, id: this.lastId, event: JSON.parse(message.data) });
       });
     }
     source.addEventListener("gap", (message) => {

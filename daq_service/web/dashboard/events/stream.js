@@ -81,12 +81,12 @@ export class EventStream {
   openDirect() {
     this.direct = new Source(
       this.lastId,
-      { onNews: (news) => this.deliver(news), onGap: (id) => this.skip(id), onState: this.handlers.onState },
+      { onEvent: (news) => this.deliver(news), onGap: (id) => this.skip(id), onState: this.handlers.onState },
       BASE,
     );
   }
 
-  /** @param {import("./source.js").News} news */
+  /** @param {import("./source.js").StreamEvent} news */
   deliver({ topic, id, event }) {
     if (id <= this.lastId) return;
     this.lastId = id;

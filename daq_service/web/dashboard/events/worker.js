@@ -7,7 +7,7 @@ const MAX_KEPT = 2000;
 
 /** Pages that listen, and whether each is visible. @type {Map<MessagePort, boolean>} */
 const ports = new Map();
-/** Events for a tab that connects later: all ids above `keptAfter`. @type {import("./source.js").News[]} */
+/** Events for a tab that connects later: all ids above `keptAfter`. @type {import("./source.js").StreamEvent[]} */
 let kept = [];
 let keptAfter = 0;
 /** @type {Source | null} */
@@ -25,7 +25,7 @@ function join(port, after, base) {
     source = new Source(
       after,
       {
-        onNews: (news) => {
+        onEvent: (news) => {
           kept.push(news);
           if (kept.length > MAX_KEPT) keptAfter = kept.splice(0, MAX_KEPT / 2).at(-1)?.id ?? keptAfter;
           broadcast({ news });

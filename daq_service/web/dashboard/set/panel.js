@@ -119,7 +119,7 @@ export class SolimonSet extends HTMLElement {
       this.hidden = true;
       this.requested = "";
       this.data = null;
-      this.undraw();
+      this.clearPlot();
       this.returnFocus?.focus();
       return;
     }
@@ -139,7 +139,7 @@ export class SolimonSet extends HTMLElement {
       Object.keys(this.host.units(position)),
       this.host.ghost(position),
     ]);
-    this.neighbours();
+    this.updateNeighbors();
     if (this.requested === `${position} ${set}` && this.data && drawnView === this.drawnView)
       return this.plotted?.plot.setScale("x", this.plotted.plot.scales.x);
     this.drawnView = drawnView;
@@ -158,7 +158,7 @@ export class SolimonSet extends HTMLElement {
     const positionInfo = this.host.info().positions.find((/** @type {any} */ one) => one.position === position);
     setText(this.heading, `Position ${position} · ${setName(set)}`);
     setText(this.subtitle, positionInfo.label);
-    this.neighbours();
+    this.updateNeighbors();
     try {
       const data = await readSetData(position, positionInfo.method, set);
       if (this.requested !== requested) return;
@@ -171,7 +171,7 @@ export class SolimonSet extends HTMLElement {
       if (this.requested !== requested) return;
       this.requested = "";
       this.data = null;
-      this.undraw();
+      this.clearPlot();
       this.facts.replaceChildren();
       setText(this.emptyText, `This set cannot be read: ${/** @type {Error} */ (error).message}`);
       this.emptyText.hidden = false;
@@ -194,8 +194,8 @@ export class SolimonSet extends HTMLElement {
     }
   }
 
-  /** Enable the buttons of the neighboring sets. */
-  neighbours() {
+  /** Enable or disable the buttons of the neighboring sets. */
+  updateNeighbors() {
     const { position, set } = this.host.view();
     this.previous.disabled = set === 0;
     this.next.disabled = set !== null && set % PLANNED_SETS >= this.host.last(position);
@@ -251,12 +251,12 @@ export class SolimonSet extends HTMLElement {
 
   render() {
     const data = /** @type {SetData} */ (this.data);
-    const { set, assessment: assessment, feature } = data;
+    const { set, assessment, feature } = data;
     const info = this.host.info();
     const view = this.host.view();
     const units = this.host.units(view.position);
     const positionInfo = info.positions.find((/** @type {any} */ one) => one.position === view.position);
-    this.neighbours();
+    this.updateNeighbors();
     setText(
       this.heading,
       `Position ${view.position} · ${setName(view.set ?? 0)}${set ? ` · hour ${hour(set.due_h)}` : ""}`,
@@ -355,7 +355,7 @@ export class SolimonSet extends HTMLElement {
     else if (this.data && !this.plotted) this.draw();
   }
 
-  undraw() {
+  clearPlot() {
     this.plotted?.detach();
     this.plotted?.plot.destroy();
     this.plotted = null;
@@ -363,7 +363,7 @@ export class SolimonSet extends HTMLElement {
 
   /** Draw again, e.g. in the colors of another theme. */
   draw() {
-    this.undraw();
+    this.clearPlot();
     const overlay = this.overlay();
     setText(this.emptyText, overlay ? "" : this.data ? this.data.missingReason : "Reading");
     this.emptyText.hidden = overlay !== null;

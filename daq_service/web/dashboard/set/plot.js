@@ -108,6 +108,6 @@ export function plotWaveforms(box, overlay, host, onCursor) {
     /** @type {any} */ ([micros, ...traces.map((trace) => trace.volts)]),
     box,
   );
-  const zoomable = { span, full, show: host.show, centre: () => (span()[0] + span()[1]) / 2 };
+  const zoomable = { span, full, show: host.show, center: () => (span()[0] + span()[1]) / 2 };
   return { plot, zoomable, detach: attach(plot.over, zoomable) };
 }

@@ -26,8 +26,8 @@ const APART_PX = 30;
 /** @param {Axis} axis @param {number} fraction of the shown span */
 const valueAt = ({ span }, fraction) => span()[0] + fraction * (span()[1] - span()[0]);
 
-/** @param {Axis} axis @param {number} factor below 1: closer @param {number} centre stays where it is */
-const zoom = ({ span, full, show }, factor, centre) => show(zoomed(span(), full(), factor, centre));
+/** @param {Axis} axis @param {number} factor below 1: closer @param {number} center stays where it is */
+const zoom = ({ span, full, show }, factor, center) => show(zoomed(span(), full(), factor, center));
 
 /** @param {HTMLElement} box @param {Surface} surface */
 export function attach(box, surface) {
@@ -109,7 +109,7 @@ function onKey(event, surface) {
   if (!header?.rows) return;
   const shownCursor = surface.cursor();
   const cursor = shownCursor ?? { hour: header.last_h.at(-1), seconds: valueAt(seconds, 0.5) };
-  if (onZoomKey(event, { ...hours, centre: () => cursor.hour })) return;
+  if (onZoomKey(event, { ...hours, center: () => cursor.hour })) return;
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.key === "PageUp" || event.key === "PageDown")
     zoom(seconds, event.key === "PageUp" ? 1 / ZOOM_KEY : ZOOM_KEY, cursor.seconds);

@@ -88,7 +88,7 @@ export class ImageLoader {
         this.trend(position, fieldsOf(method), { from_h: query.from_h, to_h: query.to_h }),
       ]);
       if (position !== this.currentQuestion()?.position) return;
-      Object.assign(this, { image: image, columns, limit: largestMagnitude(image), trouble: "" });
+      Object.assign(this, { image, columns, limit: largestMagnitude(image), trouble: "" });
     } catch (error) {
       this.trouble = /** @type {Error} */ (error).message;
       this.image = null;

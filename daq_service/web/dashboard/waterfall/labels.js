@@ -42,11 +42,13 @@ function values({ shown, baseline_sets }) {
 /** Return what the image shows. @param {any} header */
 export function subtitleOf(header) {
   const each = header.row_sets === 1 ? "a set a row" : `${header.row_sets} sets a row`;
-  const waits = header.pending_sets ? ` · ${header.pending_sets} sets are still being read` : "";
-  const lost = header.unreadable_sets.length ? ` · cannot be read: set ${header.unreadable_sets.join(", ")}` : "";
+  const pendingText = header.pending_sets ? ` · ${header.pending_sets} sets are still being read` : "";
+  const unreadableText = header.unreadable_sets.length
+    ? ` · cannot be read: set ${header.unreadable_sets.join(", ")}`
+    : "";
   return (
     `${values(header)}, ${each}, ${significant(1e6 * header.cell_s)} µs a cell: its sample furthest ` +
-    `from zero${waits}${lost}`
+    `from zero${pendingText}${unreadableText}`
   );
 }
 
@@ -67,15 +69,15 @@ export function labelOf(header) {
  * @param {Cursor} cursor
  * @param {import("../timeline.js").Timeline} timeline
  */
-export function readoutOf({ header, minimum: minimum, maximum: maximum }, { hour, seconds }, timeline) {
+export function readoutOf({ header, minimum, maximum }, { hour, seconds }, timeline) {
   const row = rowAt(header, hour);
   const column = columnAt(header, seconds);
-  const thick = thicknessOf(header, [seconds, seconds]);
+  const thickness = thicknessOf(header, [seconds, seconds]);
   const parts = [
     `hour ${fixed(row < 0 ? hour : header.first_h[row], 1)}`,
     timeline.text(hour),
     `${fixed(1e6 * seconds, 2)} µs from the ${anchorOf(header)}`,
-    thick ? `${fixed(thick.span[0], 3)} mm` : "",
+    thickness ? `${fixed(thickness.span[0], 3)} mm` : "",
   ];
   if (row < 0) return [...parts, "no record"].filter(Boolean).join(" · ");
   const cell = row * header.columns + column;

@@ -1,7 +1,7 @@
 // Paint the image and its overlays on a canvas: hours to the right, time downwards.
 
 import { color } from "../dom.js";
-import { palette, step, themeNow } from "./colours.js";
+import { palette, step, themeNow } from "./colors.js";
 import { extreme } from "./image.js";
 
 /** @typedef {import("./image.js").WaterfallImage} WaterfallImage @typedef {[number, number]} Span */
@@ -33,7 +33,7 @@ export function paint(context, image, hours, seconds, limit) {
   const { header } = image;
   const imageData = context.createImageData(width, height);
   const pixels = new Uint32Array(imageData.data.buffer);
-  const colours = palette(themeNow());
+  const colors = palette(themeNow());
   const perPixelS = (seconds[1] - seconds[0]) / height;
   const perPixelH = (hours[1] - hours[0]) / width;
   const firsts = new Int32Array(height + 1);
@@ -64,7 +64,7 @@ export function paint(context, image, hours, seconds, limit) {
       for (let y = 0; y < height; y++) keepExtreme(values, y, columns[row][y]);
     }
     for (let y = 0; y < height; y++)
-      if (!Number.isNaN(values[y])) pixels[y * width + x] = colours[step(values[y], limit)];
+      if (!Number.isNaN(values[y])) pixels[y * width + x] = colors[step(values[y], limit)];
   }
   context.putImageData(imageData, 0, 0);
 }

@@ -5,7 +5,7 @@ import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
 import { significant } from "../format.js";
 import { drawAxes } from "./axes.js";
-import { palette, themeNow } from "./colours.js";
+import { palette, themeNow } from "./colors.js";
 import { attach } from "./gestures.js";
 import { badHoursOf, tracksOf } from "./marks.js";
 import { paint, paintOver } from "./paint.js";
@@ -327,9 +327,9 @@ export class SolimonWaterfall extends HTMLElement {
   describe(header) {
     setText(this.subtitle, subtitleOf(header));
     this.box.setAttribute("aria-label", labelOf(header));
-    const colours = palette(themeNow());
-    const imageCanvas = new ImageData(colours.length, 1);
-    new Uint32Array(imageCanvas.data.buffer).set(colours);
+    const colors = palette(themeNow());
+    const imageCanvas = new ImageData(colors.length, 1);
+    new Uint32Array(imageCanvas.data.buffer).set(colors);
     contextOf(this.scale).putImageData(imageCanvas, 0, 0);
     const { limit } = this.loader;
     const ends = [-limit, limit].map(
