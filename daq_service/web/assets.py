@@ -30,7 +30,7 @@ MEDIA_TYPES = {
     "": "text/plain; charset=utf-8",
 }
 PLACE = "/static/"
-PAGE, FIRST, SCRIPT = "index.html", "first.js", "main.js"
+PAGE, FIRST, SCRIPT = "index.html", "startup.js", "main.js"
 LATER = b'<template id="later">'
 IMPORTED = re.compile(rb'^(?:import|export)\b[^;"]*"(\.[^"]+)";', re.MULTILINE)
 

@@ -53,7 +53,7 @@ def alarm(page, number):
 
 def notes_drawn(page):
     ranges = dashboard(page, "charts.tof.ranges")
-    return [(one["from_h"], one["to_h"], one["word"]) for one in ranges if one["tone"] == "note"]
+    return [(one["from_h"], one["to_h"], one["label"]) for one in ranges if one["tone"] == "note"]
 
 
 def test_an_acknowledgement_of_an_ended_test_is_done_at_once(page):
@@ -132,16 +132,16 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     box.get_by_text("Proof", exact=True).click()
     expect(box).to_contain_text("a squared distance of 30.5 from the baseline, 1.26 times the limit of 24.3.")
     expect(box).to_contain_text("time of flight between the peaks 70 %, amplitude ratio 30 %")
-    drawn = "document.getElementById('proof-chart-1')?.snapshot()"
+    drawn = "document.getElementById('evidence-chart-1')?.snapshot()"
     until(lambda: page.evaluate(f"{drawn}?.drawn"), "the sets around the alarm are drawn")
     asked = "fetch('/api/v1/verdicts?position=B&limit=1000').then((answer) => answer.json())"
     rows = {row["set_index"]: row for row in page.evaluate(asked)["items"]}
     shown = page.evaluate(drawn)
     # The alarm is of the last set but one: twelve before it, and what there is behind.
     assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
-    assert shown["y"]["judged"] == [rows[index]["distance_squared"] for index in shown["opens"]]
+    assert shown["y"]["assessed"] == [rows[index]["distance_squared"] for index in shown["opens"]]
     assert set(shown["y"]["limit"]) == {24.3}
-    links = box.locator(".proof-sets a")
+    links = box.locator(".evidence-sets a")
     # The baseline's sets are not judged: three are, and the alarm's is the last of them.
     judged = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
     said = links.all_inner_texts()
@@ -152,7 +152,7 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     links.first.click()
     expect(page.locator("#set")).to_have_attribute("data-set", f"B {judged[0]['set_index']}")
     page.keyboard.press("Escape")
-    box.locator(".proof-box .plot").focus()
+    box.locator(".evidence-box .plot").focus()
     page.keyboard.press("Home")
     page.keyboard.press("Enter")
     expect(page.locator("#set")).to_have_attribute("data-set", f"B {N_SETS - 14}")
@@ -170,22 +170,24 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
 )
 def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, limit, sets):
     alarm(page, number).get_by_text("Proof", exact=True).click()
-    drawn = f"document.getElementById('proof-chart-{number}').snapshot()"
-    expect(alarm(page, number).locator(".proof-sets a")).to_have_count(sets)
+    drawn = f"document.getElementById('evidence-chart-{number}').snapshot()"
+    expect(alarm(page, number).locator(".evidence-sets a")).to_have_count(sets)
     until(lambda: page.evaluate(drawn)["drawn"], "the sets around the alarm are drawn")
     items = page.evaluate(f"fetch('/api/v1/{column}&limit=1000').then((answer) => answer.json())")["items"]
     name = "thickness_m" if number == 5 else "n_valid"
     values = {item["set_index"]: item[name] * factor for item in items}
     shown = page.evaluate(drawn)
     assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
-    assert shown["y"]["judged"] == pytest.approx([values[index] for index in shown["opens"]], rel=1e-12)
+    assert shown["y"]["assessed"] == pytest.approx([values[index] for index in shown["opens"]], rel=1e-12)
     assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
 
 
 def test_the_picture_of_a_kind_without_a_limit_of_its_own_counts_nothing(page):
     alarm(page, 7).get_by_text("Proof", exact=True).click()
-    until(lambda: page.evaluate("document.getElementById('proof-chart-7')?.snapshot().drawn"), "it is drawn")
-    box = alarm(page, 7).locator(".proof-box")
+    until(
+        lambda: page.evaluate("document.getElementById('evidence-chart-7')?.snapshot().drawn"), "it is drawn"
+    )
+    box = alarm(page, 7).locator(".evidence-box")
     expect(box.locator(".card-head p").first).to_have_text("Position C")
     expect(box).not_to_contain_text("judged sets")
 
@@ -210,7 +212,7 @@ def test_axe_finds_nothing(page):
         expect(page.locator("#notes [data-note]")).to_have_count(1)
         expect(page.locator("#alarms .shelved")).to_have_count(2)
         alarm(page, 1).get_by_text("Proof", exact=True).click()
-        expect(alarm(page, 1).locator(".proof-sets a")).to_have_count(3)
+        expect(alarm(page, 1).locator(".evidence-sets a")).to_have_count(3)
         assert Axe().run(page).response["violations"] == []
     alarm(page, 1).get_by_role("button", name="Shelve").click()
     assert Axe().run(page, context="dialog[open]").response["violations"] == []

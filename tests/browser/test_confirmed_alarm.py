@@ -23,7 +23,7 @@ def test_from_suspicion_over_confirmation_to_the_explained_alarm(line, open_page
         until(lambda: dashboard(page, "ready"), "all that the page shows is read")
         # Suspicion asked twice: at the first set beyond the limit, and as the alarm came.
         ranges = dashboard(page, "charts.tof.ranges")
-        marks = [one["from_h"] for one in ranges if one["word"] == "confirmation set"]
+        marks = [one["from_h"] for one in ranges if one["label"] == "confirmation set"]
         assert len(marks) == 2
         card = page.locator("[data-alarm]").filter(has_text="lie beyond the limit").first
         expect(card).to_contain_text("COUPLING")  # within so few sets no wall changes like this
@@ -33,7 +33,7 @@ def test_from_suspicion_over_confirmation_to_the_explained_alarm(line, open_page
         card.get_by_role("link", name=f"Open {NAME} of position B").click()
         panel = page.locator("solimon-set")
         expect(panel.get_by_role("heading", level=2)).to_contain_text(f"Position B · {NAME} · hour")
-        expect(panel).to_have_attribute("data-records", "3")
+        expect(panel).to_have_attribute("data-waveforms", "3")
         assert query(page)["set"] == str(10_000_000 + SET)
         for key, shown in (("ArrowRight", SET + 1), ("ArrowLeft", SET)):
             page.keyboard.press(key)

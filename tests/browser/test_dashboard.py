@@ -229,7 +229,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(acknowledging).to_have_count(0)
     # The proof stays open, and a new set comes into its picture.
-    last = f"document.getElementById('proof-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
+    last = f"document.getElementById('evidence-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
     until(lambda: page.evaluate(last) == N_SETS - 1, "the sets so far are drawn")
     filled.add_set(N_SETS, stored=False)
     until(lambda: page.evaluate(last) == N_SETS, "the new one, too")
@@ -283,71 +283,71 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     ordering, ordered, open_page
 ):
     (filled, page), (_, service) = ordering, ordered
-    banner = page.locator("#held")
+    banner = page.locator("#paused")
     expect(banner).to_be_hidden()
-    page.locator("#hold").click()
+    page.locator("#pause").click()
     page.get_by_role("button", name="Cancel").click()
     expect(page.get_by_role("dialog")).to_have_count(0)
-    page.locator("#hold").click()
+    page.locator("#pause").click()
     page.get_by_label("Reason").fill("  ")
     page.get_by_role("button", name="Hold now").click()
     expect(page.get_by_role("dialog", name="Hold the test")).to_be_visible()
     assert filled.catalogue.open_commands() == []
     page.get_by_label("Reason").fill("once more")
     page.get_by_role("button", name="Hold now").click()
-    expect(page.locator("#hold")).to_have_text(SENT)
+    expect(page.locator("#pause")).to_have_text(SENT)
     answer(filled, "hold", {"note": "once more"}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     refreshes = dashboard(page, "refreshes")
     filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
     until(lambda: dashboard(page, "refreshes") > refreshes, "another reading")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
-    expect(page.locator("#hold")).to_have_text("Hold")
+    expect(page.locator("#pause")).to_have_text("Hold")
     page.get_by_role("button", name="Hold", exact=True).click()
     expect(page.get_by_label("Reason")).to_be_focused()
     page.keyboard.type("hands in the rig")
     page.keyboard.press("Enter")
-    expect(page.locator("#hold")).to_have_text(SENT)
+    expect(page.locator("#pause")).to_have_text(SENT)
     answer(filled, "hold", {"note": "hands in the rig"})
     at = filled.due[N_SETS - 1].due_utc_ns
     filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is released")
-    expect(page.locator("#hold")).to_be_hidden()
+    expect(page.locator("#pause")).to_be_hidden()
     # Whoever opens the page later sees it too.
-    expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
+    expect(open_page(service.url).locator("#paused")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.get_by_role("button", name="Release now").click()
-    expect(page.locator("#release")).to_have_text(SENT)
+    expect(page.locator("#resume")).to_have_text(SENT)
     answer(filled, "release", {"note": ""})
     filled.say("release", at, held="", author="dashboard")
     expect(banner).to_be_hidden()
-    expect(page.locator("#hold")).to_have_text("Hold")
+    expect(page.locator("#pause")).to_have_text("Hold")
 
 
 def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering, ordered, open_page):
     (filled, page), (_, service) = ordering, ordered
-    banner = page.locator("#asked")
+    banner = page.locator("#prompt")
     expect(banner).to_be_hidden()
     at = filled.due[N_SETS - 1].due_utc_ns
     shot = {"position": "C", "set_index": 3, "shot_index": 6, "attempt": 0, "within_s": 600.0}
     filled.say("asked", at, text="strike C now", **shot)
     expect(banner).to_contain_text("strike C now")
     expect(banner).to_contain_text("Position C, set 4, shot 7")
-    expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
+    expect(page.locator("#prompt-remaining")).to_have_text(re.compile(r"(10|9) min"))
     # Whoever opens the page later is asked too, and told what is left then.
     filled.say("orders", at + 580 * 10**9, told="anything new")
-    expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
+    expect(open_page(service.url).locator("#prompt-remaining")).to_have_text(re.compile(r"(20|1\d) s"))
     filled.say("asked_over", at + 581 * 10**9)
     expect(banner).to_be_hidden()
 
 
 def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(ordering):
     filled, page = ordering
-    expect(page.locator("#retired")).to_be_hidden()
+    expect(page.locator("#disabled")).to_be_hidden()
     filled.retire("C", N_SETS)
-    expect(page.locator("#retired")).to_contain_text("Position C: 10 sets running with nothing at C")
+    expect(page.locator("#disabled")).to_contain_text("Position C: 10 sets running with nothing at C")
     tile = page.locator('.tile[data-position="C"]')
     expect(tile).to_have_attribute("data-state", "retired")
     page.get_by_role("button", name="Reinstate: position C").click()
@@ -356,10 +356,10 @@ def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(ordering):
     assert filled.catalogue.open_commands() == []
     page.get_by_role("button", name="Reinstate: position C").click()
     page.get_by_role("button", name="Reinstate C").click()
-    expect(page.locator("#retired button")).to_have_text(SENT)
+    expect(page.locator("#disabled button")).to_have_text(SENT)
     answer(filled, "reinstate", {"position": "C", "note": ""})
     filled.reinstate("C")
-    expect(page.locator("#retired")).to_be_hidden()
+    expect(page.locator("#disabled")).to_be_hidden()
     expect(tile).to_have_attribute("data-state", "normal")
 
 
@@ -399,7 +399,7 @@ def test_phone_width_shows_everything_without_sideways_scrolling(filled, service
     for color_scheme in ("light", "dark"):
         page.emulate_media(color_scheme=color_scheme)
         wait_for_sets(page, N_SETS)
-        for name in ("held", "retired", "environment"):
+        for name in ("paused", "disabled", "environment"):
             expect(page.locator(f"#{name}")).to_be_visible()
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
@@ -415,7 +415,7 @@ def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(t
         expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
         filled = FilledFolder(tmp_path, Settings())
         filled.say("asked", text="strike B now", within_s=600.0)
-        expect(page.locator("#asked")).to_contain_text("strike B now")
+        expect(page.locator("#prompt")).to_contain_text("strike B now")
         expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")

@@ -115,7 +115,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
     page.get_by_role("button", name="Hold", exact=True).click()
     page.keyboard.type("hands in the rig")
     page.keyboard.press("Enter")
-    expect(page.locator("#held")).to_contain_text("Held by dashboard: hands in the rig")
+    expect(page.locator("#paused")).to_contain_text("Held by dashboard: hands in the rig")
     with httpx.Client(base_url=url) as api:
 
         def counts():
@@ -131,7 +131,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         assert counts()["shots"] == shots
         page.get_by_role("button", name="Release").click()
         page.get_by_role("button", name="Release now").click()
-        expect(page.locator("#held")).to_be_hidden()
+        expect(page.locator("#paused")).to_be_hidden()
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
         asked_until(page, lambda: counts()["shots"] > shots, "a shot was taken")
         causes = {row["cause"] for row in api.get("/api/v1/sets?state=missed").json()["items"]}

@@ -80,7 +80,7 @@ class TestSets:
         page.mouse.click(*at_hour(page, "tof", hour))
         panel = page.locator("#set")
         expect(panel).to_have_attribute("data-set", f"B {LAST}")
-        expect(panel).to_have_attribute("data-records", str(SHOTS))
+        expect(panel).to_have_attribute("data-waveforms", str(SHOTS))
         until(
             lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn"
         )
@@ -133,7 +133,7 @@ class TestSets:
         page.get_by_role("button", name="Table of: Wall thickness").click()
         page.locator("#thickness tbody .link").first.click()
         expect(panel).to_have_attribute("data-set", f"A {LAST}")
-        expect(panel).to_have_attribute("data-records", "1")
+        expect(panel).to_have_attribute("data-waveforms", "1")
         assert set(dashboard(page, "set.windows_s")) == {"first echo", "second echo"}
 
     def test_by_keyboard_alone_from_a_chart_into_a_set_and_back(self, filled, service, page):
@@ -247,7 +247,7 @@ def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled
     page.clock.install()
     page.route(re.compile("/trends/"), lambda route: None)
     filled.add_set(len(dashboard(page, "charts.tof.x")), stored=False)
-    failing = page.locator("#failing")
+    failing = page.locator("#update-failure")
     with page.expect_request(re.compile("/trends/")):
         page.clock.run_for(1000)
     until(lambda: page.clock.run_for(1000) or failing.is_visible(), "the deadline has passed")
@@ -257,7 +257,7 @@ def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled
 
 def test_an_open_set_fits_every_width(filled, service, open_page):
     page = open_page(f"{service.url}?position=B&set={LAST}", viewport=PHONE)
-    expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
+    expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     # The set of an address is read first: units, neighbours and baseline come after it.
     expect(page.locator("#set")).to_contain_text("Time of flight, peak to peak")
     until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
@@ -299,9 +299,9 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     # The experiment has gone on for hours without a set.
     filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")
     page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")
-    expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
-    expect(page.locator("#held")).to_be_visible()
-    expect(page.locator("#retired")).to_be_visible()
+    expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
+    expect(page.locator("#paused")).to_be_visible()
+    expect(page.locator("#disabled")).to_be_visible()
     expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
@@ -339,7 +339,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     wait_for(page, count)
     hours = [filled.due[index].due_h for index in (RENEWED, RENEWED + 47)]
     bands = [one for one in dashboard(page, "charts.tof.ranges") if one["tone"] == "good"]
-    assert [(one["word"], one["from_h"], one["to_h"]) for one in bands] == [
+    assert [(one["label"], one["from_h"], one["to_h"]) for one in bands] == [
         ("baseline 1", 0, 24.0),
         ("baseline 2", *hours),
     ]
@@ -364,6 +364,6 @@ def test_retirements_and_holds_are_marks(filled, service, open_page):
     filled.retire("D", index)
     page.locator('.tile[data-position="D"]').click()
     hour = filled.due[index].due_h
-    mark = {"from_h": hour, "to_h": hour, "word": "retired", "tone": "alarm"}
+    mark = {"from_h": hour, "to_h": hour, "label": "retired", "tone": "alarm"}
     until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
     filled.reinstate("D")

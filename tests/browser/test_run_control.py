@@ -222,14 +222,14 @@ def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
         else:
             page.keyboard.type(name)
             page.keyboard.press("Enter")
-    expect(page.locator("#hold")).to_contain_text("Sent")
+    expect(page.locator("#pause")).to_contain_text("Sent")
     assert answered(filled, "Ben B") == ("hold", {"note": "hands in the rig"})
     expect(page.get_by_role("button", name="Ben B (claimed)")).to_be_visible()
     page.reload()
     page.get_by_role("button", name="Hold", exact=True).click()
     dialog.get_by_label("Reason").fill("again")
     page.keyboard.press("Enter")
-    expect(page.locator("#hold")).to_contain_text("Sent")
+    expect(page.locator("#pause")).to_contain_text("Sent")
     assert answered(filled, "Ben B") == ("hold", {"note": "again"})
     page.get_by_role("button", name="Ben B (claimed)").click()
     dialog.get_by_label("Name").fill("Cleo")
@@ -297,14 +297,14 @@ def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
         page.get_by_text("Run control").click()
         buttons = page.locator("#control button:visible")
         expect(buttons).to_have_count(6)
-        expect(page.locator("#hold")).to_be_visible(visible=held)
+        expect(page.locator("#pause")).to_be_visible(visible=held)
         expect(page.locator("#alarms [data-alarm]")).to_have_count(1)
         expect(page.locator("#notes")).to_have_attribute("data-count", "0")
         for order in ("Acknowledge:", "Shelve", "Add a note"):
             expect(page.get_by_role("button", name=order)).to_be_visible(visible=held)
         assert [buttons.nth(n).is_enabled() for n in range(6)] == [control] * 6
         why = "" if control else f"ann is {role}: this role does not allow it."
-        expect(page.locator("#control-why")).to_have_text(why)
+        expect(page.locator("#control-reason")).to_have_text(why)
         expect(page.locator("#name")).to_be_hidden()
         expect(page.locator("#audit")).to_be_hidden()
         page.close()

@@ -109,7 +109,7 @@ PICTURES = (
     Picture(
         file="pictures/hole.png",
         hour=280,
-        of="#retired",
+        of="#disabled",
         shows=("no reflected wave at B", "the wall has a hole", "the transducer strikes no more"),
     ),
 )

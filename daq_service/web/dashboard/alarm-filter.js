@@ -1,14 +1,17 @@
-// Which alarms the list shows: by state, severity, position and kind.
+// Filter the alarm list by state, severity, position and kind.
 
 import { el } from "./dom.js";
 
 /** @type {Record<string, [string, (alarm: any) => boolean]>} */
 const STATES = {
   all: ["All states", () => true],
-  told: ["Active", (alarm) => alarm.state !== "normal" && !alarm.suppressed],
-  waiting: ["Not acknowledged", (alarm) => alarm.state === "unacknowledged" || alarm.state === "returned_unacknowledged"],
+  active: ["Active", (alarm) => alarm.state !== "normal" && !alarm.suppressed],
+  waiting: [
+    "Not acknowledged",
+    (alarm) => alarm.state === "unacknowledged" || alarm.state === "returned_unacknowledged",
+  ],
   suppressed: ["Shelved or out of service", (alarm) => Boolean(alarm.suppressed)],
-  closed: ["Closed", (alarm) => alarm.state === "normal"],
+  normal: ["Closed", (alarm) => alarm.state === "normal"],
 };
 const ALL = "";
 
@@ -22,25 +25,45 @@ export class AlarmFilter {
     };
     this.state = select("Alarms by state");
     this.state.append(...Object.entries(STATES).map(([value, [text]]) => el("option", { value, text })));
-    this.by = { severity: select("Alarms by severity"), position: select("Alarms by position"), kind: select("Alarms by kind") };
-    this.root = el("div", { class: "alarm-filter", role: "group", "aria-label": "Which alarms are listed" }, this.state, ...Object.values(this.by));
+    this.by = {
+      severity: select("Alarms by severity"),
+      position: select("Alarms by position"),
+      kind: select("Alarms by kind"),
+    };
+    this.root = el(
+      "div",
+      { class: "alarm-filter", role: "group", "aria-label": "Which alarms are listed" },
+      this.state,
+      ...Object.values(this.by),
+    );
     this.offered = "";
   }
 
   /** Offer what there is. @param {any[]} alarms */
   offer(alarms) {
-    const found = Object.fromEntries(Object.keys(this.by).map((name) => [name, [...new Set(alarms.map((alarm) => alarm[name] ?? "Service"))].sort()]));
+    const found = Object.fromEntries(
+      Object.keys(this.by).map((name) => [name, [...new Set(alarms.map((alarm) => alarm[name] ?? "Service"))].sort()]),
+    );
     if (JSON.stringify(found) === this.offered) return;
     this.offered = JSON.stringify(found);
     for (const [name, select] of Object.entries(this.by)) {
       const { value } = select;
-      select.replaceChildren(el("option", { value: ALL, text: { severity: "Any severity", position: "Any position", kind: "Any kind" }[name] ?? name }), ...found[name].map((one) => el("option", { value: one, text: one.replaceAll("_", " ") })));
+      select.replaceChildren(
+        el("option", {
+          value: ALL,
+          text: { severity: "Any severity", position: "Any position", kind: "Any kind" }[name] ?? name,
+        }),
+        ...found[name].map((one) => el("option", { value: one, text: one.replaceAll("_", " ") })),
+      );
       select.value = found[name].includes(value) ? value : ALL;
     }
   }
 
   /** @param {any} alarm */
   shows(alarm) {
-    return STATES[this.state.value][1](alarm) && Object.entries(this.by).every(([name, { value }]) => value === ALL || (alarm[name] ?? "Service") === value);
+    return (
+      STATES[this.state.value][1](alarm) &&
+      Object.entries(this.by).every(([name, { value }]) => value === ALL || (alarm[name] ?? "Service") === value)
+    );
   }
 }

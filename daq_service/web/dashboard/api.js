@@ -1,10 +1,10 @@
-// The REST side: JSON in, problem details as errors, and a deadline for every answer.
+// Request the REST API: parse JSON, raise problem details as errors, and set a deadline for each answer.
 
 const DEADLINE_MS = 15_000;
-/** Entries of a trend at most: beyond, an entry is a bin of sets. A chart is hardly wider. */
+/** Maximum entries of a trend; with more sets an entry is a bin. A chart is hardly wider. */
 const POINTS = 1000;
 
-/** Where the page's test is, of a service that has several; empty: the service has one test, or this is the list. */
+/** Base path of the page's test in a service with several; empty: the service has one test, or this is the list. */
 export const BASE = /^\/tests\/[^/]+(?=\/)/.exec(location.pathname)?.[0] ?? "";
 
 export class ProblemError extends Error {
@@ -18,66 +18,78 @@ export class ProblemError extends Error {
 }
 
 /** @param {Response} response */
-async function answer(response) {
+async function parseResponse(response) {
   const body = await response.json();
   if (!response.ok) throw new ProblemError(response.status, body);
   return body;
 }
 
 /**
- * Ask and read the answer, or fail once nobody may be expected to answer any more.
+ * Send a request and read the answer, or fail at the deadline.
  *
  * @template T
  * @param {string} address @param {RequestInit} request @param {(response: Response) => Promise<T>} read
  */
-async function ask(address, request, read) {
-  const control = new AbortController();
-  const timer = setTimeout(() => control.abort(new Error(`no answer within ${DEADLINE_MS / 1000} s`)), DEADLINE_MS);
+async function fetchWithDeadline(address, request, read) {
+  const controller = new AbortController();
+  const timer = setTimeout(() => controller.abort(new Error(`no answer within ${DEADLINE_MS / 1000} s`)), DEADLINE_MS);
   try {
-    return await read(await fetch(address, { ...request, signal: control.signal }));
+    return await read(await fetch(address, { ...request, signal: controller.signal }));
   } finally {
     clearTimeout(timer);
   }
 }
 
-/** Answers that came with the page, by address: whoever asks first has them. @type {Map<string, any>} */
-const brought = new Map(Object.entries(JSON.parse(document.getElementById("answers")?.textContent ?? "{}")).map(([path, answered]) => [BASE + path, answered]));
+/** Answers embedded in the page, by address: the first request takes them. @type {Map<string, any>} */
+const embedded = new Map(
+  Object.entries(JSON.parse(document.getElementById("answers")?.textContent ?? "{}")).map(([path, embeddedValue]) => [
+    BASE + path,
+    embeddedValue,
+  ]),
+);
 
-/** What came with the page and nobody has asked for yet. @param {string} path of the test */
-export function broughtAlong(path) {
-  return brought.get(BASE + path);
+/** Return an embedded answer that no request has taken yet. @param {string} path of the test */
+export function embeddedAnswer(path) {
+  return embedded.get(BASE + path);
 }
 
 /** @param {string} address @returns {Promise<any>} */
 async function json(address) {
-  const answered = brought.get(address);
-  brought.delete(address);
-  return answered ?? ask(address, { headers: { Accept: "application/json" } }, answer);
+  const embeddedValue = embedded.get(address);
+  embedded.delete(address);
+  return embeddedValue ?? fetchWithDeadline(address, { headers: { Accept: "application/json" } }, parseResponse);
 }
 
-/** @param {string} path below /api/v1 @param {string} [base] of another test; empty: the service @returns {Promise<any>} */
+/**
+ * @param {string} path below /api/v1
+ * @param {string} [base] of another test; empty: the service
+ * @returns {Promise<any>}
+ */
 export async function get(path, base = BASE) {
   return json(`${base}/api/v1${path}`);
 }
 
 /** @param {string} path below /api/v1, of binary content @returns {Promise<ArrayBuffer>} */
-export async function octets(path) {
-  return ask(`${BASE}/api/v1${path}`, {}, async (response) => (response.ok ? response.arrayBuffer() : answer(response)));
+export async function getBytes(path) {
+  return fetchWithDeadline(`${BASE}/api/v1${path}`, {}, async (response) =>
+    response.ok ? response.arrayBuffer() : parseResponse(response),
+  );
 }
 
 /**
- * Columns of a position over the test; of many sets by bins (`bin_sets` above 1).
+ * Read columns of a position over the test; many sets come in bins (`bin_sets` above 1).
  *
  * @param {string} position @param {string[] | undefined} fields undefined: all
  * @param {{from_h?: number, to_h?: number}} [range] @param {string} [base] of another test
  */
 export async function trend(position, fields, range = {}, base = BASE) {
   const query = new URLSearchParams();
-  for (const [name, value] of Object.entries({ fields, points: POINTS, ...range })) if (value !== undefined) query.set(name, String(value));
+  for (const [name, value] of Object.entries({ fields, points: POINTS, ...range }))
+    if (value !== undefined) query.set(name, String(value));
   return get(`/trends/${position}?${query}`, base);
 }
 
-/** Whether anything is stored yet; asked so because a browser reports every 503 as an error. */
+/** Return whether anything is stored yet; by this route because a browser reports each 503 as an error. */
 export async function hasData() {
   return (await json(`${BASE}/healthz`)).data === true;
 }
@@ -85,20 +97,26 @@ export async function hasData() {
 /** @param {string} path @param {object} body @returns {Promise<any>} */
 export async function post(path, body) {
   const headers = { "Content-Type": "application/json" };
-  return ask(`${BASE}/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, answer);
+  return fetchWithDeadline(
+    `${BASE}/api/v1${path}`,
+    { method: "POST", headers, body: JSON.stringify(body) },
+    parseResponse,
+  );
 }
 
 /** @param {string} path @returns {Promise<any>} */
 export async function remove(path) {
-  return ask(`${BASE}/api/v1${path}`, { method: "DELETE" }, answer);
+  return fetchWithDeadline(`${BASE}/api/v1${path}`, { method: "DELETE" }, parseResponse);
 }
 
-/** All pages of a listing. @param {string} path @returns {Promise<any[]>} */
-export async function all(path) {
+/** Read all pages of a listing. @param {string} path @returns {Promise<any[]>} */
+export async function getAllPages(path) {
   const items = [];
   let cursor = null;
   do {
-    const page = await get(cursor ? `${path}${path.includes("?") ? "&" : "?"}cursor=${encodeURIComponent(cursor)}` : path);
+    const page = await get(
+      cursor ? `${path}${path.includes("?") ? "&" : "?"}cursor=${encodeURIComponent(cursor)}` : path,
+    );
     items.push(...page.items);
     cursor = page.next_cursor;
   } while (cursor);

@@ -1,21 +1,21 @@
-// A button that puts a text on the clipboard, and says so.
+// Copy a text to the clipboard with a button.
 
 import { button, el, setText } from "./dom.js";
 
 /**
- * @param {string} word of the button @param {() => string} text asked when it is pressed
- * @param {() => string} otherwise what else to do: over plain HTTP from elsewhere a page has no clipboard, a person has
- * @returns {{button: HTMLElement, said: HTMLElement}}
+ * @param {string} label of the button @param {() => string} text called when it is pressed
+ * @param {() => string} fallback returns an instruction: over plain HTTP from another host a page has no clipboard
+ * @returns {{button: HTMLElement, status: HTMLElement}}
  */
-export function copyButton(word, text, otherwise) {
-  const said = el("span", { class: "quiet small", role: "status" });
+export function copyButton(label, text, fallback) {
+  const status = el("span", { class: "quiet small", role: "status" });
   const copy = async () => {
     try {
       await navigator.clipboard.writeText(text());
-      setText(said, "Copied");
+      setText(status, "Copied");
     } catch {
-      setText(said, otherwise());
+      setText(status, fallback());
     }
   };
-  return { button: button(word, copy), said };
+  return { button: button(label, copy), status };
 }

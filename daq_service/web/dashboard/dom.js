@@ -1,4 +1,4 @@
-// Builds elements without markup strings: nothing read from the service is ever parsed as HTML.
+// Build elements without markup strings: nothing read from the service is parsed as HTML.
 
 /**
  * @param {string} tag
@@ -17,9 +17,17 @@ export function el(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** A small button. @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
+/**
+ * Return a small button.
+ *
+ * @param {string} text
+ * @param {(button: HTMLButtonElement) => void} act
+ * @param {Record<string, string | boolean>} [attributes]
+ */
 export function button(text, act, attributes = {}) {
-  const made = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text, ...attributes }));
+  const made = /** @type {HTMLButtonElement} */ (
+    el("button", { class: "button ghost small", type: "button", text, ...attributes })
+  );
   made.addEventListener("click", () => act(made));
   return made;
 }
@@ -36,7 +44,7 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Colours of now: to ask for one takes longer than to draw with it. @type {Map<string, string>} */
+/** Colors of the current theme: to compute one takes longer than to draw with it. @type {Map<string, string>} */
 const colors = new Map();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => forgetColors());
 
@@ -47,7 +55,7 @@ export function color(name) {
   return found;
 }
 
-/** Another theme is worn. */
+/** Forget the colors when another theme is applied. */
 export function forgetColors() {
   colors.clear();
 }

@@ -1,4 +1,4 @@
-// Supply and climate around the newest set, and the supply now, each with its quality and age; else nothing.
+// Show supply and climate around the newest set, and the supply now, each with quality and age.
 
 import { el } from "./dom.js";
 import { fixed, hour, quantity } from "./format.js";
@@ -6,31 +6,49 @@ import { chip } from "./icons.js";
 
 /** @type {Record<string, import("./icons.js").Look>} */
 const QUALITIES = {
-  good: { word: "Good", icon: "check", tone: "good" },
-  suspect: { word: "Suspect", icon: "triangle", tone: "warn" },
-  stale: { word: "Stale", icon: "triangle", tone: "warn" },
-  lost: { word: "Lost", icon: "link", tone: "alarm" },
+  good: { label: "Good", icon: "check", tone: "good" },
+  suspect: { label: "Suspect", icon: "triangle", tone: "warn" },
+  stale: { label: "Stale", icon: "triangle", tone: "warn" },
+  lost: { label: "Lost", icon: "link", tone: "alarm" },
 };
 
-/** Amperes at the scale of the electrochemical drive. @param {number | null} current_a */
+/** Format a current at the scale of the electrochemical supply. @param {number | null} current_a */
 function current(current_a) {
-  return current_a !== null && Math.abs(current_a) >= 1 ? quantity(current_a, 1, 3, "A") : quantity(current_a, 1e3, 2, "mA");
+  return current_a !== null && Math.abs(current_a) >= 1
+    ? quantity(current_a, 1, 3, "A")
+    : quantity(current_a, 1e3, 2, "mA");
 }
 
-/** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values @param {string} since */
+/**
+ * @param {string} name
+ * @param {string} quality
+ * @param {number | null} age_s
+ * @param {[string, string][]} values
+ * @param {string} since
+ */
 function group(name, quality, age_s, values, since = "before") {
-  const look = QUALITIES[quality] ?? { word: quality, icon: "dash", tone: "" };
+  const qualityLook = QUALITIES[quality] ?? { label: quality, icon: "dash", tone: "" };
   const age = age_s === null ? "" : `read ${fixed(age_s, age_s < 10 ? 1 : 0)} s ${since}`;
-  const part = el(
+  const element = el(
     "div",
     { class: "environment-group", "data-quality": quality },
-    el("p", { class: "environment-name" }, el("strong", { text: name }), chip(look), el("span", { class: "quiet small", text: age })),
-    el("dl", { class: "readouts" }, ...values.map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })))),
+    el(
+      "p",
+      { class: "environment-name" },
+      el("strong", { text: name }),
+      chip(qualityLook),
+      el("span", { class: "quiet small", text: age }),
+    ),
+    el(
+      "dl",
+      { class: "readouts" },
+      ...values.map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value }))),
+    ),
   );
-  return part;
+  return element;
 }
 
-/** The output at this moment, also while no recorder runs. @param {any} now */
+/** Show the output now, also while no recorder runs. @param {any} now */
 function supplyNow(now) {
   const output = [
     now.quality === "good" ? now.state : `${now.state}; ${now.last} when it was read last`,
@@ -49,7 +67,8 @@ export function showEnvironment(root, answer) {
   if (answer.supply_now !== null) parts.push(supplyNow(answer.supply_now));
   if (row === null) return root.replaceChildren(...parts);
   if (row.supply_quality !== "absent") {
-    const state = row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
+    const state =
+      row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
     parts.push(
       group("Supply", row.supply_quality, row.supply_age_s, [
         ["Output", state],
@@ -67,6 +86,11 @@ export function showEnvironment(root, answer) {
       ]),
     );
   }
-  parts.push(el("p", { class: "quiet small environment-age", text: `Set ${row.set_index}, hour ${hour(row.due_h)} · ${fixed(row.age_h, 1)} h old` }));
+  parts.push(
+    el("p", {
+      class: "quiet small environment-age",
+      text: `Set ${row.set_index}, hour ${hour(row.due_h)} · ${fixed(row.age_h, 1)} h old`,
+    }),
+  );
   root.replaceChildren(...parts);
 }

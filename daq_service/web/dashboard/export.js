@@ -1,4 +1,4 @@
-// What is on the screen for other programs: as files of the API, and as Python that reads the same.
+// Export what is on the screen: as files of the API, and as Python that reads the same data.
 
 import { BASE, get } from "./api.js";
 import { copyButton } from "./copy.js";
@@ -6,19 +6,33 @@ import { el } from "./dom.js";
 
 /**
  * @typedef {object} Offer
- * @property {string} says what the files hold, where that differs from the screen
- * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: what one is, else each of the API's formats
+ * @property {string} description content of the files, where it differs from the screen
+ * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: the format of a single file, else
+ *   all formats of the API
  * @property {string[]} python lines in which `test` is the opened test
  */
 
-const WORDS = /** @type {Record<string, string>} */ ({ csv: "CSV", parquet: "Parquet", arrow: "Arrow", npz: "NPZ", mat: "MATLAB", h5: "HDF5" });
-/** @type {string[]} what this service writes; empty until it was asked */
+const FORMAT_LABELS = /** @type {Record<string, string>} */ ({
+  csv: "CSV",
+  parquet: "Parquet",
+  arrow: "Arrow",
+  npz: "NPZ",
+  mat: "MATLAB",
+  h5: "HDF5",
+});
+/** @type {string[]} formats that this service writes; empty until they are read */
 let formats = [];
 
-/** Table of the API, and method of the client, that a feature stands in. @param {string} field @param {string} method */
-const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features");
+/**
+ * Return the table of the API, and the method of the client, that has a feature.
+ *
+ * @param {string} field
+ * @param {string} method
+ */
+const tableOf = (field, method) =>
+  method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features";
 
-/** A text or number as Python writes it. @param {string | number} value */
+/** Return a text or number as a Python literal. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);
 
 /** @param {[number, number] | null} span @returns {Record<string, number>} */
@@ -27,14 +41,15 @@ const hoursOf = (span) => (span ? { from_h: span[0], to_h: span[1] } : {});
 /** @param {Record<string, number>} range as arguments of the client */
 const keywords = (range) => Object.entries(range).map(([name, value]) => `${name}=${literal(value)}`);
 
-/** @param {Record<string, string | number>} asked */
-const query = (asked) => new URLSearchParams(Object.entries(asked).map(([name, value]) => [name, String(value)])).toString();
+/** @param {Record<string, string | number>} args */
+const query = (args) =>
+  new URLSearchParams(Object.entries(args).map(([name, value]) => [name, String(value)])).toString();
 
 /**
- * What a chart shows: each set of these hours, also where the chart shows bins.
+ * Offer the data of a chart: each set of these hours, also where the chart shows bins.
  *
  * @param {{fields: string[], method: string, positions: string[]}} taken
- * @param {[number, number] | null} span null: the whole test
+ * @param {[number, number] | null} span null: the complete test
  * @returns {Offer}
  */
 export function chartOffer({ fields, method, positions }, span) {
@@ -44,46 +59,61 @@ export function chartOffer({ fields, method, positions }, span) {
     title: `Position ${position}`,
     path: `/tables/${table}?${query({ position, ...range, fields: fields.join(",") })}`,
   }));
-  const asked = ["position", ...keywords(range)].join(", ");
+  const args = ["position", ...keywords(range)].join(", ");
   const columns = ["due_h", ...fields, "quality"].map(literal).join(", ");
   return {
-    says: "Every set of these hours, in SI units.",
+    description: "Every set of these hours, in SI units.",
     files,
-    python: ["data = {", `    position: test.${table}(${asked})[[${columns}]]`, `    for position in [${positions.map(literal).join(", ")}]`, "}"],
+    python: [
+      "data = {",
+      `    position: test.${table}(${args})[[${columns}]]`,
+      `    for position in [${positions.map(literal).join(", ")}]`,
+      "}",
+    ],
   };
 }
 
 /**
- * A page that prints, and whole tables.
+ * Offer a report for printing, and complete tables.
  *
- * @param {[number, number] | null} span null: the whole test
+ * @param {[number, number] | null} span null: the complete test
  * @returns {Offer}
  */
 export function testOffer(span) {
   const range = hoursOf(span);
-  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", baselines: "Baselines", alarms: "Alarms" };
-  const beside = query({ ...range, purpose: "confirmation" });
+  const tables = {
+    verdicts: "Verdicts",
+    features: "Features",
+    thickness: "Thickness",
+    sets: "Sets",
+    baselines: "Baselines",
+    alarms: "Alarms",
+  };
+  const confirmations = query({ ...range, purpose: "confirmation" });
   return {
-    says: span ? "These hours, every position." : "The whole test, every position.",
+    description: span ? "These hours, every position." : "The whole test, every position.",
     files: [
       { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
       ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
-      { title: "Verdicts on confirmation sets", path: `/tables/verdicts?${beside}` },
-      { title: "Features of confirmation sets", path: `/tables/features?${beside}` },
+      { title: "Verdicts on confirmation sets", path: `/tables/verdicts?${confirmations}` },
+      { title: "Features of confirmation sets", path: `/tables/features?${confirmations}` },
     ],
-    python: [`verdicts = test.verdicts(${keywords(range).join(", ")})`, `features = test.features(${keywords(range).join(", ")})`],
+    python: [
+      `verdicts = test.verdicts(${keywords(range).join(", ")})`,
+      `features = test.features(${keywords(range).join(", ")})`,
+    ],
   };
 }
 
 /**
- * The records of a set.
+ * Offer the waveforms of a set.
  *
  * @param {string} position @param {number} set @param {string} file of the set as the API names it
  * @returns {Offer}
  */
 export function setOffer(position, set, file) {
   return {
-    says: "The accepted records in volts; the set's own file has counts and calibration of every position.",
+    description: "The accepted records in volts; the set's own file has counts and calibration of every position.",
     files: [
       { title: "Records", path: `/waveforms/${encodeURIComponent(position)}?first_set=${set}&last_set=${set}` },
       { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, as: "HDF5" },
@@ -105,15 +135,22 @@ function program(lines) {
 }
 
 /**
- * A button that opens a list of files and the Python beside it.
+ * Return a button that opens a list of files and the same as Python.
  *
- * @param {string} of what is exported, for those who do not see where the button stands
- * @param {() => Offer | null} offer asked when it opens; null: there is nothing yet
+ * @param {string} of what is exported, for screen readers
+ * @param {() => Offer | null} offer called when it opens; null: there is nothing yet
  * @returns {HTMLElement}
  */
 export function exportMenu(of, offer) {
   const box = el("div", { class: "export-box" });
-  const root = /** @type {HTMLDetailsElement} */ (el("details", { class: "export" }, el("summary", { class: "button ghost small", "aria-label": `Export: ${of}`, text: "Export" }), box));
+  const root = /** @type {HTMLDetailsElement} */ (
+    el(
+      "details",
+      { class: "export" },
+      el("summary", { class: "button ghost small", "aria-label": `Export: ${of}`, text: "Export" }),
+      box,
+    )
+  );
   root.addEventListener("toggle", () => root.open && void fill(box, offer()));
   root.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || !root.open) return;
@@ -122,7 +159,7 @@ export function exportMenu(of, offer) {
     /** @type {HTMLElement} */ (root.firstElementChild).focus();
   });
   root.addEventListener("focusout", (event) => {
-    // Without a new focus the window itself was left.
+    // Without a new focus the user has left the window itself.
     if (event.relatedTarget && !root.contains(/** @type {Node} */ (event.relatedTarget))) close(root);
   });
   return root;
@@ -139,19 +176,44 @@ async function fill(box, offer) {
   try {
     if (!formats.length) ({ formats } = await get("/tables"));
   } catch (error) {
-    return box.replaceChildren(el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }));
+    return box.replaceChildren(
+      el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }),
+    );
   }
-  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `${BASE}/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
+  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) =>
+    el("a", { href: `${BASE}/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
   const files = offer.files.map(({ title, path, as }) => {
-    const links = as ? [link(path, as, title)] : formats.map((form) => link(`${path}${path.includes("?") ? "&" : "?"}format=${form}`, WORDS[form] ?? form, title));
+    const links = as
+      ? [link(path, as, title)]
+      : formats.map((format) =>
+          link(`${path}${path.includes("?") ? "&" : "?"}format=${format}`, FORMAT_LABELS[format] ?? format, title),
+        );
     return el("div", {}, el("p", { text: title }), el("p", { class: "export-files" }, ...links));
   });
   const text = program(offer.python);
-  const code = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", readonly: true, rows: String(text.split("\n").length), "aria-label": "The same in Python", spellcheck: "false", wrap: "off" }));
+  const code = /** @type {HTMLTextAreaElement} */ (
+    el("textarea", {
+      class: "field",
+      readonly: true,
+      rows: String(text.split("\n").length),
+      "aria-label": "The same in Python",
+      spellcheck: "false",
+      wrap: "off",
+    })
+  );
   code.value = text;
-  const copy = copyButton("Copy as Python", () => text, () => {
-    code.select();
-    return "Selected: copy it with Ctrl+C";
-  });
-  return box.replaceChildren(el("p", { class: "quiet small", text: offer.says }), ...files, code, el("p", { class: "export-files" }, copy.button, copy.said));
+  const copy = copyButton(
+    "Copy as Python",
+    () => text,
+    () => {
+      code.select();
+      return "Selected: copy it with Ctrl+C";
+    },
+  );
+  return box.replaceChildren(
+    el("p", { class: "quiet small", text: offer.description }),
+    ...files,
+    code,
+    el("p", { class: "export-files" }, copy.button, copy.status),
+  );
 }

@@ -1,4 +1,4 @@
-// Numbers and times as text. "–" is what the API calls null: not available.
+// Format numbers and times. "–" stands for null of the API: not available.
 
 /** @typedef {number | null | undefined} Maybe */
 
@@ -23,7 +23,7 @@ export function quantity(value, scale, digits, unit) {
   return text === NONE || !unit ? text : `${text} ${unit}`;
 }
 
-/** Three significant digits without an exponent up to a million. @param {Maybe} value */
+/** Format with three significant digits, without an exponent up to a million. @param {Maybe} value */
 export function significant(value) {
   if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
   const size = Math.abs(value);
@@ -31,7 +31,7 @@ export function significant(value) {
   return String(Number(value.toPrecision(3)));
 }
 
-/** Power-of-ten notation, e.g. 5.49 × 10⁻². @param {number} value */
+/** Format in power-of-ten notation, e.g. 5.49 × 10⁻². @param {number} value */
 export function scientific(value) {
   if (value === 0) return "0";
   const [mantissa, exponent] = value.toExponential(2).split("e");
@@ -54,30 +54,39 @@ export function hour(hours) {
   return fixed(hours, 1);
 }
 
-/** Sets of a plan have smaller indices, those beside it (`hardware_drivers/measurement.py`) larger ones. */
+/** Scheduled sets have smaller indices, unscheduled ones (`hardware_drivers/measurement.py`) larger ones. */
 export const PLANNED_SETS = 10_000_000;
 
-/** A planned set by its number, a confirmation set by the planned one before it. @param {number} index */
+/**
+ * Return the name of a set: its number, or for a confirmation set that of the scheduled set before it.
+ *
+ * @param {number} index
+ */
 export function setName(index) {
-  const beside = Math.floor(index / PLANNED_SETS);
-  return beside ? `confirmation set ${beside} after set ${index % PLANNED_SETS}` : `set ${index}`;
+  const confirmationNumber = Math.floor(index / PLANNED_SETS);
+  return confirmationNumber
+    ? `confirmation set ${confirmationNumber} after set ${index % PLANNED_SETS}`
+    : `set ${index}`;
 }
 
-/** RFC 3339 to a short UTC text. @param {string | null | undefined} text */
+/** Format an RFC 3339 time as a short UTC text. @param {string | null | undefined} text */
 export function utc(text) {
   return text ? `${text.slice(0, 10)} ${text.slice(11, 16)} UTC` : NONE;
 }
 
 /**
- * How old the newest data of another test are: on its own clock, and since its recorder wrote.
+ * Return the age of the newest data of another test: on its own clock, and since its recorder wrote.
  *
  * @param {any} standing of /tests
  * @param {{data_h: Maybe, age_h: Maybe, stale: boolean}} data
- * @param {number} sinceS since the service looked
+ * @param {number} sinceS since the service read it
  */
 export function ageText(standing, data, sinceS) {
   const wall = standing.wall_age_s === null ? NONE : `${duration(standing.wall_age_s + sinceS)} ago`;
-  const grown = standing.clock === "wall" ? sinceS / 3600 : 0;
-  const last = data.data_h === null ? "nothing measured yet" : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + grown, 1)} h old`;
+  const elapsedH = standing.clock === "wall" ? sinceS / 3600 : 0;
+  const last =
+    data.data_h === null
+      ? "nothing measured yet"
+      : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + elapsedH, 1)} h old`;
   return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
 }

@@ -1,4 +1,4 @@
-// Small drawings; each state has its own shape, so that colour is never the only sign.
+// Draw icons; each state has its own shape, so that color is never the only sign.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -37,43 +37,43 @@ export function icon(name) {
   return svg;
 }
 
-/** @typedef {{word: string, icon: string, tone: string}} Look */
+/** @typedef {{label: string, icon: string, tone: string}} Look */
 
 /** @type {Record<string, Look>} */
 export const STATES = {
-  no_data: { word: "No data", icon: "dash", tone: "" },
-  learning: { word: "Learning baseline", icon: "dots", tone: "info" },
-  not_judged: { word: "Not judged", icon: "triangle", tone: "warn" },
-  normal: { word: "Normal", icon: "check", tone: "good" },
-  outlier: { word: "Outlier", icon: "triangle", tone: "warn" },
-  shelved: { word: "Shelved", icon: "pause", tone: "warn" },
-  out_of_service: { word: "Out of service", icon: "pause", tone: "warn" },
-  alarm: { word: "Alarm", icon: "bell", tone: "alarm" },
-  retired: { word: "Retired", icon: "stop", tone: "alarm" },
+  no_data: { label: "No data", icon: "dash", tone: "" },
+  learning: { label: "Learning baseline", icon: "dots", tone: "info" },
+  not_judged: { label: "Not judged", icon: "triangle", tone: "warn" },
+  normal: { label: "Normal", icon: "check", tone: "good" },
+  outlier: { label: "Outlier", icon: "triangle", tone: "warn" },
+  shelved: { label: "Shelved", icon: "pause", tone: "warn" },
+  out_of_service: { label: "Out of service", icon: "pause", tone: "warn" },
+  alarm: { label: "Alarm", icon: "bell", tone: "alarm" },
+  retired: { label: "Retired", icon: "stop", tone: "alarm" },
 };
 
 /** @type {Record<string, Look>} */
 export const RECORDER = {
-  running: { word: "Live", icon: "check", tone: "good" },
-  finished: { word: "Test finished", icon: "flag", tone: "info" },
-  stopped: { word: "Recorder stopped", icon: "stop", tone: "warn" },
-  silent: { word: "Recorder silent", icon: "triangle", tone: "alarm" },
-  absent: { word: "Recorder absent", icon: "triangle", tone: "warn" },
+  running: { label: "Live", icon: "check", tone: "good" },
+  finished: { label: "Test finished", icon: "flag", tone: "info" },
+  stopped: { label: "Recorder stopped", icon: "stop", tone: "warn" },
+  silent: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
+  absent: { label: "Recorder absent", icon: "triangle", tone: "warn" },
 };
 
 /** @type {Record<string, Look>} */
 export const SEVERITIES = {
-  critical: { word: "Critical", icon: "bell", tone: "alarm" },
-  high: { word: "High", icon: "bell", tone: "alarm" },
-  medium: { word: "Medium", icon: "triangle", tone: "warn" },
-  low: { word: "Low", icon: "flag", tone: "info" },
+  critical: { label: "Critical", icon: "bell", tone: "alarm" },
+  high: { label: "High", icon: "bell", tone: "alarm" },
+  medium: { label: "Medium", icon: "triangle", tone: "warn" },
+  low: { label: "Low", icon: "flag", tone: "info" },
 };
 
-/** @param {Look} look @param {string} [kind] */
-export function chip(look, kind = "chip") {
+/** @param {Look} state @param {string} [kind] */
+export function chip(state, kind = "chip") {
   const element = document.createElement("span");
   element.className = kind;
-  element.dataset.tone = look.tone;
-  element.append(icon(look.icon), look.word);
+  element.dataset.tone = state.tone;
+  element.append(icon(state.icon), state.label);
   return element;
 }

@@ -1,12 +1,12 @@
-// The way in: where the service asks for a token, nothing else begins before the page has one.
+// Log in: where the service needs a token, nothing else starts before the page has one.
 
 import { get, post, remove } from "./api.js";
 import { byId, el, setText } from "./dom.js";
 
-/** @typedef {import("./control/who.js").Session} Session */
+/** @typedef {import("./control/session.js").Session} Session */
 
-/** Ends once this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
-export async function admitted() {
+/** Wait until this page may read. The token becomes a cookie that no script can read. @returns {Promise<Session>} */
+export async function waitForLogin() {
   /** @type {Session} */
   let session = await get("/session");
   if (session.role === null) session = await loggedIn();
@@ -23,13 +23,28 @@ export async function admitted() {
 
 /** @returns {Promise<Session>} */
 function loggedIn() {
-  const token = /** @type {HTMLInputElement} */ (el("input", { id: "login-token", class: "field", type: "password", maxlength: "200", autocomplete: "off", required: true }));
+  const token = /** @type {HTMLInputElement} */ (
+    el("input", {
+      id: "login-token",
+      class: "field",
+      type: "password",
+      maxlength: "200",
+      autocomplete: "off",
+      required: true,
+    })
+  );
   const trouble = el("p", { id: "login-trouble", role: "alert" });
   const form = el(
     "form",
     {},
     el("h2", { id: "login-title", text: "Log in" }),
-    el("p", { class: "quiet" }, "This service asks for a token: whoever runs it makes one with ", el("code", { text: "solimon token create" }), "."),
+    el(
+      "p",
+      { class: "quiet" },
+      "This service asks for a token: whoever runs it makes one with ",
+      el("code", { text: "solimon token create" }),
+      ".",
+    ),
     el("label", { for: "login-token", text: "Token" }),
     token,
     trouble,

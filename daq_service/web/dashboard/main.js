@@ -1,37 +1,37 @@
-// Wires the page: what is shown stands in its address, what is drawn comes from the API.
+// Connect the parts of the page: its address holds the view, the API provides the data.
 
 import { SolimonAlarms } from "./alarms.js";
 import { BASE, trend } from "./api.js";
-import { Asked } from "./asked.js";
-import { BaselineCard } from "./baseline.js";
+import { OperatorPrompt } from "./prompt.js";
+import { BaselineCard } from "./baseline-card.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
-import { Compared } from "./charts/compared.js";
-import { Others, isOther, whereOf } from "./charts/others.js";
-import { wholeOf } from "./charts/plot.js";
+import { Comparison } from "./charts/comparison.js";
+import { OtherTests, isOther, parseEntry } from "./charts/other-tests.js";
+import { fullSpan } from "./charts/plot.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { Audit } from "./control/audit.js";
-import { confirmed } from "./control/confirm.js";
-import { Control } from "./control/panel.js";
-import { enter, may } from "./control/who.js";
+import { askConfirmation } from "./control/confirm.js";
+import { RunControl } from "./control/panel.js";
+import { startSession, isAllowed } from "./control/session.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
-import { Failing } from "./failing.js";
-import { tiles } from "./first.js";
+import { UpdateFailure } from "./update-failure.js";
+import { tiles } from "./startup.js";
 import { hour, significant, utc } from "./format.js";
-import { Hold } from "./hold.js";
+import { PauseControl } from "./pause.js";
 import { RECORDER, chip } from "./icons.js";
-import { admitted } from "./login.js";
+import { waitForLogin } from "./login.js";
 import { SolimonNotes } from "./notes.js";
 import { Notifications } from "./notifications.js";
-import { giveBy } from "./orders.js";
-import { Reading } from "./reading.js";
-import { Retired } from "./retired.js";
+import { sendByButton } from "./commands.js";
+import { DataLoader } from "./data-loader.js";
+import { DisabledTransducers } from "./disabled.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
 import { Theme } from "./theme.js";
-import { Timeline } from "./time.js";
+import { Timeline } from "./timeline.js";
 import { Address } from "./view.js";
 import { SolimonWaterfall } from "./waterfall/panel.js";
 import { SolimonWaveform } from "./waveform.js";
@@ -47,7 +47,7 @@ const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
 const SHELF_MS = 30_000;
 const HOUR_MS = 3_600_000;
-/** Hours before and after an alarm or a note that a click on its hour shows. */
+/** Hours shown before and after an alarm or annotation when its hour is clicked. */
 const AROUND_H = 5;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
@@ -57,75 +57,91 @@ const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
-const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, toldAt: 0 };
+const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, clockReadAt: 0 };
 
-const address = new Address(become);
-/** @type {Reading} */
-const reading = new Reading({ drawn: () => board.drawn(address.view, charted()).all, onBegin, onRead, onColumns, onDetails: showColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
-const failing = new Failing(byId("failing"));
-const others = new Others(onOthers);
+const address = new Address(show);
+/** @type {DataLoader} */
+const data = new DataLoader({
+  drawn: () => board.drawn(address.view, chartedPosition()).all,
+  onStart,
+  onRead,
+  onColumns,
+  onDetails: showColumns,
+  onWaiting: notice,
+  onTrouble: (error) => updateFailure.fail(error, data.readAt),
+});
+const updateFailure = new UpdateFailure(byId("update-failure"));
+const otherTests = new OtherTests(onOthers);
 /** @type {Board} */
 const board = new Board(
-  reading,
-  others,
+  data,
+  otherTests,
   {
     span: () => address.span,
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
     timeline,
     open: openSet,
     note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
-    table: (id, shown) => address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
+    table: (id, shown) =>
+      address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
   },
   (feature) => address.go({ feature }),
 );
-const compared = new Compared(others, (part) => address.go(part));
-const toolbar = new Toolbar((part) => address.go(part), nowH);
+const comparison = new Comparison(otherTests, (changes) => address.go(changes));
+const toolbar = new Toolbar((changes) => address.go(changes), nowH);
 tiles.onSelect = select;
-const asked = new Asked();
-const hold = new Hold((text) => notice(text, "alarm"));
-const control = new Control((text) => notice(text, "alarm"));
+const operatorPrompt = new OperatorPrompt();
+const pauseControl = new PauseControl((text) => notice(text, "alarm"));
+const runControl = new RunControl((text) => notice(text, "alarm"));
 const baselineCard = new BaselineCard(byId("baseline"), (text) => notice(text, "alarm"));
-const retired = new Retired(byId("retired"), (text) => notice(text, "alarm"));
-const waves = new WaveformStream((record) => waveform.show(record));
-const events = new EventStream({ onEvent, onGap: () => reading.everything(), onState });
+const disabled = new DisabledTransducers(byId("disabled"), (text) => notice(text, "alarm"));
+const waves = new WaveformStream((newWaveform) => waveform.show(newWaveform));
+const events = new EventStream({ onEvent, onGap: () => data.reloadAll(), onState });
 /** @type {import("./set/panel.js").Host} */
 const panelHost = {
-  info: () => reading.info,
-  units: (position) => reading.baseline(position)?.units ?? reading.trends.get(position)?.units ?? {},
-  ghost: ghostOf,
-  last: (position) => Math.max(reading.trends.get(position)?.columns.set_index.at(-1) ?? 0, reading.gaps.get(position)?.at(-1)?.set_index ?? 0),
+  info: () => data.info,
+  units: (position) => data.baseline(position)?.units ?? data.trends.get(position)?.units ?? {},
+  ghost: typicalSet,
+  last: (position) =>
+    Math.max(data.trends.get(position)?.columns.set_index.at(-1) ?? 0, data.gaps.get(position)?.at(-1)?.set_index ?? 0),
   view: () => address.view,
-  go: (part, how) => address.go(part, how),
+  go: (changes, how) => address.go(changes, how),
 };
 panel.host = panelHost;
 /** @type {import("./waterfall/panel.js").Host} */
 const waterfallHost = {
-  info: () => (reading.trends.has(address.view.position) ? reading.info : null),
+  info: () => (data.trends.has(address.view.position) ? data.info : null),
   view: () => address.view,
-  go: (part, how) => address.go(part, how),
-  whole: () => wholeOf(/** @type {any} */ ({ x: reading.trends.get(address.view.position)?.columns.due_h ?? [], endHour: reading.info.schedule.end_h })),
+  go: (changes, how) => address.go(changes, how),
+  full: () =>
+    fullSpan(
+      /** @type {any} */ ({
+        x: data.trends.get(address.view.position)?.columns.due_h ?? [],
+        endHour: data.info.schedule.end_h,
+      }),
+    ),
   timeline,
   open: openSet,
   over: (position) => {
-    const { ranges, alarms, opened } = board.about(address.view, [position]);
+    const { ranges, alarms, opened } = board.context(address.view, [position]);
     return { gaps: ranges.filter((range) => range.tone !== "good"), alarms, opened };
   },
   trend,
-  hasBaseline: () => reading.hasBaseline(address.view.position),
+  hasBaseline: () => data.hasBaseline(address.view.position),
 };
 waterfall.host = waterfallHost;
-/** @type {import("./proof.js").Host} */
-const proofHost = {
-  trend: (position) => reading.trends.get(position),
+/** @type {import("./alarm-evidence.js").Host} */
+const evidenceHost = {
+  trend: (position) => data.trends.get(position),
   timeline,
   open: openSet,
   note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
 };
-alarmList.host = proofHost;
+alarmList.host = evidenceHost;
 /** @type {import("./notes.js").Host} */
 const notesHost = {
   span: () => address.span,
-  positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
+  positions: () => data.info?.positions.map((/** @type {any} */ positionInfo) => positionInfo.position) ?? [],
   show: ([from_h, to_h]) => showHours(from_h, to_h),
   now: nowH,
 };
@@ -134,136 +150,159 @@ notes.host = notesHost;
 // ---- what is shown ----------------------------------------------------------------------------
 
 function timeline() {
-  return new Timeline(address.view.axis, reading.info?.clock.epoch_utc ?? "1970-01-01T00:00:00Z");
+  return new Timeline(address.view.axis, data.info?.clock.epoch_utc ?? "1970-01-01T00:00:00Z");
 }
 
-/** Hour of the test by its own clock; a simulated one stands still between two readings. */
+/** Return the hour of the test by its own clock; a simulated clock does not advance between two updates. */
 function nowH() {
-  return state.now_h + (reading.info?.clock.kind === "wall" ? (performance.now() - state.toldAt) / HOUR_MS : 0);
+  return state.now_h + (data.info?.clock.kind === "wall" ? (performance.now() - state.clockReadAt) / HOUR_MS : 0);
 }
 
-/** Hours, and what lies around them. @param {number} from @param {number} to @param {Partial<import("./view.js").View>} [part] what else changes */
-function showHours(from, to, part = {}) {
-  address.go({ from_h: from - AROUND_H, to_h: to + AROUND_H, ...part });
+/**
+ * Show hours with their surroundings.
+ *
+ * @param {number} from
+ * @param {number} to
+ * @param {Partial<import("./view.js").View>} [changes] what else changes
+ */
+function showHours(from, to, changes = {}) {
+  address.go({ from_h: from - AROUND_H, to_h: to + AROUND_H, ...changes });
 }
 
-/** Position of the solitary-wave charts: the chosen one where it has waves. */
-function charted() {
+/** Return the position of the solitary-wave charts: the chosen one where it has waves. */
+function chartedPosition() {
   const { position, charts } = address.view;
-  const waves_ = reading.info.positions.filter((/** @type {any} */ place) => place.method === "solitary_wave").map((/** @type {any} */ place) => place.position);
-  return [position, charts].find((one) => waves_.includes(one)) ?? waves_[0] ?? "";
+  const solitaryWave = data.info.positions
+    .filter((/** @type {any} */ positionInfo) => positionInfo.method === "solitary_wave")
+    .map((/** @type {any} */ positionInfo) => positionInfo.position);
+  return [position, charts].find((one) => solitaryWave.includes(one)) ?? solitaryWave[0] ?? "";
 }
 
-/** What changes with the chosen position. @param {string} position @returns {Partial<import("./view.js").View>} */
-function chosen(position) {
+/**
+ * Return what changes with the chosen position.
+ *
+ * @param {string} position
+ * @returns {Partial<import("./view.js").View>}
+ */
+function selection(position) {
   if (position === address.view.position) return {};
-  const waves_ = reading.place(position)?.method === "solitary_wave";
-  return { position, charts: waves_ ? "" : charted(), set: null, shot: null, from_us: null, to_us: null };
+  const solitaryWave = data.positionInfo(position)?.method === "solitary_wave";
+  return { position, charts: solitaryWave ? "" : chartedPosition(), set: null, shot: null, from_us: null, to_us: null };
 }
 
 /** @param {string} position */
 function select(position) {
-  if (reading.place(position)) address.go(chosen(position));
+  if (data.positionInfo(position)) address.go(selection(position));
 }
 
 /** @param {string} position @param {number} set */
 function openSet(position, set) {
   if (isOther(position)) {
-    const where = whereOf(position);
+    const where = parseEntry(position);
     location.assign(`/tests/${where.test}/?position=${where.position}&set=${set}`);
     return;
   }
-  address.go({ ...chosen(position), set, shot: null });
+  address.go({ ...selection(position), set, shot: null });
 }
 
-/** The baseline's set that lies nearest to its middle. @param {string} position */
-function ghostOf(position) {
-  const { columns, method } = reading.baseline(position) ?? { columns: { set_index: [] }, method: "" };
-  // A probe refers to its first good record.
+/** Return the set of the baseline that is closest to its center. @param {string} position */
+function typicalSet(position) {
+  const { columns, method } = data.baseline(position) ?? { columns: { set_index: [] }, method: "" };
+  // A probe refers to its first good waveform.
   if (method === "pulse_echo") return columns.set_index[columns.quality.indexOf("good")] ?? null;
   let best = -1;
   columns.set_index.forEach((/** @type {number} */ _, /** @type {number} */ k) => {
-    if (columns.in_baseline[k] && columns.distance_squared[k] !== null && (best < 0 || columns.distance_squared[k] < columns.distance_squared[best])) best = k;
+    if (
+      columns.in_baseline[k] &&
+      columns.distance_squared[k] !== null &&
+      (best < 0 || columns.distance_squared[k] < columns.distance_squared[best])
+    )
+      best = k;
   });
   return best < 0 ? null : columns.set_index[best];
 }
 
 /** @param {import("./view.js").View} view @param {import("./view.js").View} before */
-function become(view, before) {
+function show(view, before) {
   if (view.theme !== before.theme) theme.show();
-  if (!reading.info) return;
-  // A position that this experiment does not have, e.g. of an address from elsewhere.
-  if (!reading.place(view.position)) view.position = charted() || reading.info.positions[0].position;
+  if (!data.info) return;
+  // The address may name a position that this test does not have.
+  if (!data.positionInfo(view.position)) view.position = chartedPosition() || data.info.positions[0].position;
   if (view.position !== state.shown) {
     state.shown = view.position;
     tiles.select(view.position);
-    waveform.select(view.position, reading.place(view.position).label);
+    waveform.select(view.position, data.positionInfo(view.position).label);
     waves.open(view.position);
   }
-  reading.choose(view.feature);
-  others.choose(view);
-  reading.look(address.span, board.drawn(view, charted()).all);
+  data.setFeature(view.feature);
+  otherTests.choose(view);
+  data.setSpan(address.span, board.drawn(view, chartedPosition()).all);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
-  toolbar.update(view, charted(), reading.info, timeline());
-  compared.update(view);
-  if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, charted());
-  for (const chart of board.all) chart.respan();
+  toolbar.update(view, chartedPosition(), data.info, timeline());
+  comparison.update(view);
+  if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, chartedPosition());
+  for (const chart of board.all) chart.applySpan();
   waterfall.update();
   panel.update();
   showBaseline();
 }
 
 function showBaseline() {
-  const rows = (reading.lives.get(charted()) ?? []).map((life) => life.row);
-  baselineCard.update(charted(), rows, state.recorder !== "finished" && state.recorder !== "stopped");
+  const rows = (data.baselines.get(chartedPosition()) ?? []).map((period) => period.row);
+  baselineCard.update(chartedPosition(), rows, state.recorder !== "finished" && state.recorder !== "stopped");
 }
 
 function showAll() {
-  become(address.view, { ...address.view, position: "", axis: "hours" });
+  show(address.view, { ...address.view, position: "", axis: "hours" });
   showColumns();
 }
 
 // ---- reading ----------------------------------------------------------------------------------
 
-function onBegin() {
-  asked.show(reading.info.asked);
+function onStart() {
+  operatorPrompt.show(data.info.asked);
   showInfo();
   showAll();
 }
 
 function onColumns() {
-  failing.end();
+  updateFailure.clear();
   showColumns();
   showBaseline();
-  toolbar.update(address.view, charted(), reading.info, timeline());
-  compared.update(address.view);
-  waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
+  toolbar.update(address.view, chartedPosition(), data.info, timeline());
+  comparison.update(address.view);
+  waterfall.renew(
+    String([
+      data.trends.get(address.view.position)?.columns.set_index.at(-1),
+      data.gaps.get(address.view.position)?.length,
+    ]),
+  );
   panel.update();
   alarmList.renew();
 }
 
 function onOthers() {
   showColumns();
-  compared.update(address.view);
+  comparison.update(address.view);
 }
 
 function showColumns() {
-  board.update(address.view, charted());
+  board.update(address.view, chartedPosition());
 }
 
 /** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
-function onRead({ alarms, notes: noted, transducers, environment, info }) {
+function onRead({ alarms, notes: noteRows, transducers, environment, info }) {
   if (alarms) alarmList.update(alarms);
-  if (noted) notes.update(noted);
+  if (noteRows) notes.update(noteRows);
   if (info) {
-    asked.show(reading.info.asked);
+    operatorPrompt.show(data.info.asked);
     showInfo();
   }
   if (transducers) {
     tiles.update(transducers);
-    retired.update(transducers);
-    control.update(reading.info, transducers.items, transducers.as_of.recorder);
+    disabled.update(transducers);
+    runControl.update(data.info, transducers.items, transducers.as_of.recorder);
     showClock(transducers.as_of);
     showBaseline();
   }
@@ -275,8 +314,8 @@ function onRead({ alarms, notes: noted, transducers, environment, info }) {
 
 /** @param {string} topic @param {any} event */
 function onEvent(topic, event) {
-  if (topic === "service") asked.hear(event);
-  reading.hear(topic, event);
+  if (topic === "service") operatorPrompt.onEvent(event);
+  data.onEvent(topic, event);
   const { position, set } = address.view;
   const concerns = event.position === position && (event.set_index === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();
@@ -285,17 +324,20 @@ function onEvent(topic, event) {
 // ---- showing ----------------------------------------------------------------------------------
 
 function showInfo() {
-  const { info } = reading;
+  const { info } = data;
   document.title = `${info.name} · solimon`;
   setText(byId("experiment"), info.name);
   const rig = byId("rig");
   rig.hidden = false;
   setText(rig, info.rig_label);
   rig.dataset.rig = info.rig;
-  setText(byId("approval"), `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`);
+  setText(
+    byId("approval"),
+    `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`,
+  );
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
-  byId("finish").hidden = !info.clock.can_finish_now || !may("finish_now");
+  byId("finish").hidden = !info.clock.can_finish_now || !isAllowed("finish_now");
   tiles.lossLimit = info.limits.thickness_loss_fraction;
   showClock(info.as_of);
 }
@@ -304,10 +346,12 @@ function showInfo() {
 function showClock(asOf) {
   setText(byId("hour"), `Hour ${hour(asOf.now_h)}`);
   setText(byId("utc"), `${utc(asOf.now_utc)} on the ${asOf.clock} clock`);
-  /** @type {HTMLProgressElement} */ (byId("progress")).value = reading.info ? Math.min(1, asOf.now_h / reading.info.schedule.end_h) : 0;
-  Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, toldAt: performance.now() });
+  /** @type {HTMLProgressElement} */ (byId("progress")).value = data.info
+    ? Math.min(1, asOf.now_h / data.info.schedule.end_h)
+    : 0;
+  Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
-  hold.update(reading.info?.held ?? null, state.recorder);
+  pauseControl.update(data.info?.held ?? null, state.recorder);
   showConnection();
 }
 
@@ -321,13 +365,13 @@ function onState(open) {
 
 function showConnection() {
   const pill = byId("connection");
-  const look = !state.connected
-    ? { word: "Connection lost, retrying", icon: "link", tone: "alarm" }
-    : (RECORDER[state.recorder] ?? { word: state.recorder, icon: "dash", tone: "" });
-  if (pill.textContent === look.word) return;
-  const fresh = chip(look, "pill");
-  pill.dataset.tone = look.tone;
-  pill.replaceChildren(...fresh.childNodes);
+  const connectionState = !state.connected
+    ? { label: "Connection lost, retrying", icon: "link", tone: "alarm" }
+    : (RECORDER[state.recorder] ?? { label: state.recorder, icon: "dash", tone: "" });
+  if (pill.textContent === connectionState.label) return;
+  const newPill = chip(connectionState, "pill");
+  pill.dataset.tone = connectionState.tone;
+  pill.replaceChildren(...newPill.childNodes);
 }
 
 /** @param {string} text @param {string} [tone] */
@@ -345,17 +389,22 @@ function notice(text, tone = "") {
 function redraw() {
   board.redraw();
   waveform.draw();
-  if (reading.info) waterfall.update();
+  if (data.info) waterfall.update();
   panel.draw();
   alarmList.redraw();
 }
 
-const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
+const theme = new Theme(
+  () => address.view.theme,
+  (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }),
+  redraw,
+);
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
-  const says = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
-  if ((await confirmed({ title: "Finish the test now", says, word: "Run to the end" })) === null) return;
-  if (await giveBy(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
+  const paragraphs = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
+  if ((await askConfirmation({ title: "Finish the test now", paragraphs, submitLabel: "Run to the end" })) === null)
+    return;
+  if (await sendByButton(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
     button.disabled = true;
     setText(button, "Finishing");
   }
@@ -364,27 +413,30 @@ alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} 
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 alarmList.addEventListener("show-hour", (event) => {
   const { position, hour: at } = /** @type {CustomEvent} */ (event).detail;
-  showHours(at, at, position === null ? {} : chosen(position));
+  showHours(at, at, position === null ? {} : selection(position));
   waterfall.scrollIntoView({ block: "nearest" });
 });
-// A shelf ends in real time, too: where nobody records, no event says so.
-setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
-// Where no recorder runs no event comes, and the supply's own process may switch off.
-setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
+// Shelving also ends in real time: where no recorder runs, no event reports it.
+setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && data.readAlarms(), SHELF_MS);
+// Without a recorder there are no events, and the supply's own process may switch off.
+setInterval(
+  () => state.hasSupply && data.readEnvironment().catch((error) => updateFailure.fail(error, data.readAt)),
+  SUPPLY_MS,
+);
 theme.show();
 byId("all-tests").hidden = BASE === "";
 
-/** Read-only view of what is shown, for tests and for the curious. */
+/** Read-only state of the page, for tests and the console. */
 Object.defineProperty(window, "solimonDashboard", {
   value: Object.freeze({
     get ready() {
-      return reading.refreshes > 0;
+      return data.refreshes > 0;
     },
     get connected() {
       return state.connected;
     },
     get refreshes() {
-      return reading.refreshes;
+      return data.refreshes;
     },
     get view() {
       return structuredClone(address.view);
@@ -412,10 +464,10 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
-enter(await admitted());
+startSession(await waitForLogin());
 new Audit();
-reading.feature = address.view.feature;
-reading.span = address.span;
-reading.begin((after) => events.open(after));
-const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));
-notifications.begin().catch((error) => failing.fail(error, reading.readAt));
+data.feature = address.view.feature;
+data.span = address.span;
+data.start((after) => events.open(after));
+const notifications = new Notifications(byId("notifications"), (error) => updateFailure.fail(error, data.readAt));
+notifications.start().catch((error) => updateFailure.fail(error, data.readAt));

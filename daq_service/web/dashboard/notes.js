@@ -1,14 +1,20 @@
-// What people noted of hours of the test: the list, and the dialog that adds to it.
+// Show the annotations of the test: the list, and the dialog that adds to it.
 
-import { may } from "./control/who.js";
+import { isAllowed } from "./control/session.js";
 import { button, el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
-import { order } from "./orders.js";
+import { sendCommand } from "./commands.js";
 
-/** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void, now: () => number}} Host */
+/**
+ * @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void,
+ *   now: () => number}} Host
+ */
 
 /** @param {any} note */
-const hours = (note) => (note.from_h === note.to_h ? `Hour ${fixed(note.from_h, 1)}` : `Hours ${fixed(note.from_h, 1)} to ${fixed(note.to_h, 1)}`);
+const hours = (note) =>
+  note.from_h === note.to_h
+    ? `Hour ${fixed(note.from_h, 1)}`
+    : `Hours ${fixed(note.from_h, 1)} to ${fixed(note.to_h, 1)}`;
 
 export class SolimonNotes extends HTMLElement {
   constructor() {
@@ -19,18 +25,24 @@ export class SolimonNotes extends HTMLElement {
     this.items = [];
     this.count = el("p", { "aria-live": "polite", text: "Reading" });
     this.list = el("ul", { class: "alarm-list", "aria-labelledby": "notes-title" });
-    this.adding = button("Add a note", () => this.ask(this.pointed ?? this.host.now(), ""), { hidden: true });
-    const field = (/** @type {string} */ name, /** @type {string} */ type) => /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
+    this.addButton = button("Add a note", () => this.ask(this.pointed ?? this.host.now(), ""), { hidden: true });
+    const field = (/** @type {string} */ name, /** @type {string} */ type) =>
+      /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
     this.from = field("from", "number");
     this.to = field("to", "number");
     this.from.required = true;
-    this.text = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", id: "note-text", rows: "3", maxlength: "2000", required: true }));
+    this.text = /** @type {HTMLTextAreaElement} */ (
+      el("textarea", { class: "field", id: "note-text", rows: "3", maxlength: "2000", required: true })
+    );
     this.position = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "note-position" }));
-    this.shown = button("The hours shown", () => this.take(this.host.span()));
-    const now = button("Now", () => this.take([this.host.now(), this.host.now()]));
+    this.shown = button("The hours shown", () => this.setHours(this.host.span()));
+    const now = button("Now", () => this.setHours([this.host.now(), this.host.now()]));
     this.trouble = el("p", { role: "alert" });
     const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
-    const label = (/** @type {HTMLElement} */ input, /** @type {string} */ text) => [el("label", { for: input.id, text }), input];
+    const label = (/** @type {HTMLElement} */ input, /** @type {string} */ text) => [
+      el("label", { for: input.id, text }),
+      input,
+    ];
     this.form = /** @type {HTMLFormElement} */ (
       el(
         "form",
@@ -42,7 +54,12 @@ export class SolimonNotes extends HTMLElement {
         el("span", { class: "choices" }, now, this.shown),
         ...label(this.position, "Position"),
         this.trouble,
-        el("div", { class: "dialog-actions" }, cancel, el("button", { class: "button", type: "submit", text: "Save the note" })),
+        el(
+          "div",
+          { class: "dialog-actions" },
+          cancel,
+          el("button", { class: "button", type: "submit", text: "Save the note" }),
+        ),
       )
     );
     this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "note-title" }, this.form));
@@ -51,49 +68,78 @@ export class SolimonNotes extends HTMLElement {
       event.preventDefault();
       void this.save();
     });
-    /** Hour that was last pointed at on a chart. @type {number | null} */
+    /** Last hour under the pointer on a chart. @type {number | null} */
     this.pointed = null;
   }
 
   connectedCallback() {
     this.setAttribute("role", "region");
     this.setAttribute("aria-labelledby", "notes-title");
-    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "notes-title", text: "Notes" }), this.count), el("div", { class: "card-actions" }, this.adding)), this.list, this.dialog);
+    this.append(
+      el(
+        "div",
+        { class: "card-head" },
+        el("div", {}, el("h2", { id: "notes-title", text: "Notes" }), this.count),
+        el("div", { class: "card-actions" }, this.addButton),
+      ),
+      this.list,
+      this.dialog,
+    );
   }
 
   /** @param {any[]} items those that are not withdrawn */
   update(items) {
     this.items = items;
-    this.adding.hidden = !may("annotate"); // from now on the experiment's positions are known
+    this.addButton.hidden = !isAllowed("annotate"); // from now on the positions of the test are known
     this.dataset.count = String(items.length);
-    setText(this.count, items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.");
+    setText(
+      this.count,
+      items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.",
+    );
     this.list.hidden = !items.length;
     this.list.replaceChildren(...[...items].sort((a, b) => b.from_h - a.from_h).map((note) => this.item(note)));
   }
 
   /** @param {any} note @returns {HTMLElement} */
   item(note) {
-    const goes = el("button", { class: "link", type: "button", text: hours(note), "aria-label": `Show ${hours(note).toLowerCase()} on the charts` });
-    goes.addEventListener("click", () => this.host.show([note.from_h, note.to_h]));
-    const withdraws = button("Withdraw", (pressed) => this.withdraw(note.id, pressed), { "aria-label": `Withdraw: ${note.text}`, hidden: !may("withdraw_annotation") });
+    const showButton = el("button", {
+      class: "link",
+      type: "button",
+      text: hours(note),
+      "aria-label": `Show ${hours(note).toLowerCase()} on the charts`,
+    });
+    showButton.addEventListener("click", () => this.host.show([note.from_h, note.to_h]));
+    const withdrawButton = button("Withdraw", (pressed) => this.withdraw(note.id, pressed), {
+      "aria-label": `Withdraw: ${note.text}`,
+      hidden: !isAllowed("withdraw_annotation"),
+    });
     const item = el(
       "li",
       { class: "alarm" },
-      el("div", { class: "alarm-head" }, goes, el("strong", { text: note.position ?? "Whole test" }), el("span", { class: "quiet", text: `${note.author}, ${utc(note.written_utc)}` })),
+      el(
+        "div",
+        { class: "alarm-head" },
+        showButton,
+        el("strong", { text: note.position ?? "Whole test" }),
+        el("span", { class: "quiet", text: `${note.author}, ${utc(note.written_utc)}` }),
+      ),
       el("p", { class: "alarm-message", text: note.text }),
-      el("div", { class: "alarm-foot" }, withdraws),
+      el("div", { class: "alarm-foot" }, withdrawButton),
     );
     item.dataset.note = String(note.id);
     return item;
   }
 
-  /** @param {number} hour @param {string} position empty: the whole test */
+  /** @param {number} hour @param {string} position empty: the complete test */
   ask(hour, position) {
     const names = this.host.positions();
-    this.position.replaceChildren(el("option", { value: "", text: "Whole test" }), ...names.map((name) => el("option", { value: name, text: name })));
+    this.position.replaceChildren(
+      el("option", { value: "", text: "Whole test" }),
+      ...names.map((name) => el("option", { value: name, text: name })),
+    );
     this.position.value = position;
     this.text.value = "";
-    this.take([hour, hour]);
+    this.setHours([hour, hour]);
     this.shown.disabled = this.host.span() === null;
     setText(this.trouble, "");
     this.dialog.showModal();
@@ -101,16 +147,21 @@ export class SolimonNotes extends HTMLElement {
   }
 
   /** @param {[number, number] | null} span */
-  take(span) {
+  setHours(span) {
     if (!span) return;
     this.from.value = String(Number(span[0].toFixed(3)));
     this.to.value = span[1] > span[0] ? String(Number(span[1].toFixed(3))) : "";
   }
 
   async save() {
-    const note = { text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
+    const note = {
+      text: this.text.value,
+      from_h: Number(this.from.value),
+      to_h: this.to.value === "" ? null : Number(this.to.value),
+      position: this.position.value || null,
+    };
     try {
-      await order("annotate", note, (word) => setText(this.trouble, word));
+      await sendCommand("annotate", note, (text) => setText(this.trouble, text));
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);
@@ -121,7 +172,7 @@ export class SolimonNotes extends HTMLElement {
   async withdraw(id, button) {
     button.disabled = true;
     try {
-      await order("withdraw_annotation", { annotation_id: id }, (word) => setText(button, word));
+      await sendCommand("withdraw_annotation", { annotation_id: id }, (text) => setText(button, text));
     } catch (error) {
       button.disabled = false;
       setText(button, "Withdraw");
@@ -130,7 +181,15 @@ export class SolimonNotes extends HTMLElement {
   }
 }
 
-/** Where charts draw them. @param {any[]} notes @param {string[]} positions @returns {import("./charts/marks.js").Range[]} */
+/**
+ * Return the ranges of annotations on charts.
+ *
+ * @param {any[]} notes
+ * @param {string[]} positions
+ * @returns {import("./charts/marks.js").Range[]}
+ */
 export function notesOn(notes, positions) {
-  return notes.filter((note) => note.position === null || positions.includes(note.position)).map(({ from_h, to_h, text }) => ({ from_h, to_h, word: text.split("\n")[0].slice(0, 40), tone: "note" }));
+  return notes
+    .filter((note) => note.position === null || positions.includes(note.position))
+    .map(({ from_h, to_h, text }) => ({ from_h, to_h, label: text.split("\n")[0].slice(0, 40), tone: "note" }));
 }

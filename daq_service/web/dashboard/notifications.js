@@ -1,38 +1,50 @@
-// Who is told of alarms elsewhere: how each receiver stands, a trial, what was sent. Hidden where there is none.
+// Show the receivers of notifications: state, test message and log. Hidden where there is none.
 
 import { get, post } from "./api.js";
-import { may } from "./control/who.js";
+import { isAllowed } from "./control/session.js";
 import { el, setText } from "./dom.js";
 import { duration, utc } from "./format.js";
 import { chip } from "./icons.js";
 
-const LOOK_MS = 10_000;
+const POLL_MS = 10_000;
 const LOG_LINES = 50;
 
 /** @type {Record<string, import("./icons.js").Look>} */
-const LOOKS = {
-  idle: { word: "Ready", icon: "check", tone: "good" },
-  waiting: { word: "Waiting to send", icon: "dots", tone: "info" },
-  failing: { word: "Not reached, tried again", icon: "triangle", tone: "warn" },
-  dead: { word: "Not reached for long", icon: "link", tone: "alarm" },
+const STATES = {
+  idle: { label: "Ready", icon: "check", tone: "good" },
+  waiting: { label: "Waiting to send", icon: "dots", tone: "info" },
+  failing: { label: "Not reached, tried again", icon: "triangle", tone: "warn" },
+  dead: { label: "Not reached for long", icon: "link", tone: "alarm" },
 };
 
 /** @param {any} receiver of /notifications */
 function lastSuccess(receiver) {
-  return receiver.last_sent_utc === null ? "none since the service began" : `${utc(receiver.last_sent_utc)}, ${duration(receiver.last_sent_age_s)} ago`;
+  return receiver.last_sent_utc === null
+    ? "none since the service began"
+    : `${utc(receiver.last_sent_utc)}, ${duration(receiver.last_sent_age_s)} ago`;
 }
 
 /** @param {any} beat */
 function heartbeat(beat) {
   if (beat === null) return "not asked for";
-  const words = /** @type {Record<string, string>} */ ({ off: "none yet", ok: "taken", failing: "not taken", withheld: "withheld" });
-  return `${words[beat.state]}${beat.last_utc ? `, last ${utc(beat.last_utc)}` : ""}${beat.state === "ok" ? "" : ` ${beat.told}`}`;
+  const states = /** @type {Record<string, string>} */ ({
+    off: "none yet",
+    ok: "taken",
+    failing: "not taken",
+    withheld: "withheld",
+  });
+  const last = beat.last_utc ? `, last ${utc(beat.last_utc)}` : "";
+  const { told: response } = beat;
+  return `${states[beat.state]}${last}${beat.state === "ok" ? "" : ` ${response}`}`;
 }
 
 /** @param {any} receiver */
 function trouble(receiver) {
   if (receiver.failing_since_utc === null) return "";
-  return `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried again until it is too old.`;
+  return (
+    `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried ` +
+    "again until it is too old."
+  );
 }
 
 class Receiver {
@@ -43,18 +55,37 @@ class Receiver {
     this.values = Object.fromEntries(["Last success", "Waiting", "Heartbeat"].map((term) => [term, el("dd")]));
     this.trouble = el("p", { role: "status" });
     this.result = el("p", { class: "quiet small", role: "status" });
-    this.button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", hidden: !may("test_receiver"), text: `Send a trial to ${this.name}` }));
+    this.button = /** @type {HTMLButtonElement} */ (
+      el("button", {
+        class: "button ghost",
+        type: "button",
+        hidden: !isAllowed("test_receiver"),
+        text: `Send a trial to ${this.name}`,
+      })
+    );
     this.button.addEventListener("click", () => this.#test(changed));
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
-    this.element = el("div", { class: "environment-group" }, this.state, el("dl", { class: "readouts" }, ...readouts), this.button, this.trouble, this.result);
-    this.word = "";
+    this.element = el(
+      "div",
+      { class: "environment-group" },
+      this.state,
+      el("dl", { class: "readouts" }, ...readouts),
+      this.button,
+      this.trouble,
+      this.result,
+    );
+    this.shownState = "";
   }
 
   /** @param {any} receiver */
   update(receiver) {
-    if (this.word !== receiver.state) {
-      this.word = receiver.state;
-      this.state.replaceChildren(el("strong", { text: this.name }), chip(LOOKS[receiver.state]), el("span", { class: "quiet small", text: `${receiver.kind}, ${receiver.address}` }));
+    if (this.shownState !== receiver.state) {
+      this.shownState = receiver.state;
+      this.state.replaceChildren(
+        el("strong", { text: this.name }),
+        chip(STATES[receiver.state]),
+        el("span", { class: "quiet small", text: `${receiver.kind}, ${receiver.address}` }),
+      );
     }
     setText(this.values["Last success"], lastSuccess(receiver));
     setText(this.values.Waiting, String(receiver.waiting));
@@ -67,8 +98,11 @@ class Receiver {
     this.button.disabled = true;
     setText(this.result, "Sending");
     try {
-      const answer = await post(`/notifications/${this.name}/test`, {});
-      setText(this.result, `${answer.ok ? "The trial arrived" : "The trial did not arrive"} after ${answer.took_s.toFixed(1)} s: ${answer.told}`);
+      const { ok, took_s, told: response } = await post(`/notifications/${this.name}/test`, {});
+      setText(
+        this.result,
+        `${ok ? "The trial arrived" : "The trial did not arrive"} after ${took_s.toFixed(1)} s: ${response}`,
+      );
     } catch (error) {
       setText(this.result, /** @type {Error} */ (error).message);
     }
@@ -85,22 +119,23 @@ export class Notifications {
     this.fail = fail;
     /** @type {Map<string, Receiver>} */
     this.receivers = new Map();
-    this.silent = el("p", { role: "status" });
+    this.status = el("p", { role: "status" });
     this.rows = el("tbody");
     this.log = el("details", {}, el("summary", { text: "Log of deliveries" }), this.#table());
     this.log.addEventListener("toggle", () => this.#readLog());
   }
 
-  /** Look now and from then on, if there is anybody to tell. */
-  async begin() {
+  /** Read the state now and then regularly, if there is a receiver. */
+  async start() {
     const answer = await get("/notifications");
     if (!answer.receivers.length) return;
-    for (const receiver of answer.receivers) this.receivers.set(receiver.name, new Receiver(receiver, () => this.#readLog()));
+    for (const receiver of answer.receivers)
+      this.receivers.set(receiver.name, new Receiver(receiver, () => this.#readLog()));
     const heading = el("h2", { id: "notifications-title", text: "Notifications" });
-    this.root.append(heading, this.silent, ...[...this.receivers.values()].map((one) => one.element), this.log);
+    this.root.append(heading, this.status, ...[...this.receivers.values()].map((one) => one.element), this.log);
     this.root.hidden = false;
     this.#show(answer);
-    setInterval(() => document.hidden || this.#read(), LOOK_MS);
+    setInterval(() => document.hidden || this.#read(), POLL_MS);
   }
 
   async #read() {
@@ -113,22 +148,40 @@ export class Notifications {
 
   /** @param {any} answer */
   #show(answer) {
-    setText(this.silent, answer.sending ? "" : `This service sends nothing now: ${answer.why_silent}`);
+    setText(this.status, answer.sending ? "" : `This service sends nothing now: ${answer.why_silent}`);
     for (const receiver of answer.receivers) this.receivers.get(receiver.name)?.update(receiver);
   }
 
   #table() {
     const head = ["Time", "Receiver", "What", "Told", "Events"].map((text) => el("th", { scope: "col", text }));
-    const table = el("table", {}, el("caption", { text: `The newest ${LOG_LINES}` }), el("thead", {}, el("tr", {}, ...head)), this.rows);
-    return el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Log of deliveries, table" }, table);
+    const table = el(
+      "table",
+      {},
+      el("caption", { text: `The newest ${LOG_LINES}` }),
+      el("thead", {}, el("tr", {}, ...head)),
+      this.rows,
+    );
+    return el(
+      "div",
+      { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Log of deliveries, table" },
+      table,
+    );
   }
 
   async #readLog() {
     if (!(/** @type {HTMLDetailsElement} */ (this.log).open)) return;
     try {
       const { items } = await get(`/notifications/log?limit=${LOG_LINES}`);
-      const cells = (/** @type {any} */ row) => [utc(row.utc), row.receiver, row.what.replace("_", " "), row.told, row.event_ids.join(", ")];
-      this.rows.replaceChildren(...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))));
+      const cells = (/** @type {any} */ { utc: time, receiver, what, told: response, event_ids }) => [
+        utc(time),
+        receiver,
+        what.replace("_", " "),
+        response,
+        event_ids.join(", "),
+      ];
+      this.rows.replaceChildren(
+        ...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))),
+      );
     } catch (error) {
       this.fail(/** @type {Error} */ (error));
     }

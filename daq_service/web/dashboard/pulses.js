@@ -1,4 +1,4 @@
-// The marks of a record: which pulses it has, drawn where they were found.
+// Draw the pulses of a waveform where they were found.
 
 import { color } from "./dom.js";
 
@@ -12,7 +12,9 @@ export const PULSES = [
 
 /** @param {any} found features or marks by name @returns {Mark[]} those that were found */
 export function marksOf(found) {
-  return PULSES.map(({ name, time, height }) => ({ name, time_s: found[time], height_v: found[height] })).filter(({ time_s, height_v }) => Number.isFinite(time_s) && Number.isFinite(height_v));
+  return PULSES.map(({ name, time, height }) => ({ name, time_s: found[time], height_v: found[height] })).filter(
+    ({ time_s, height_v }) => Number.isFinite(time_s) && Number.isFinite(height_v),
+  );
 }
 
 /** @param {any} u a uPlot over µs and V @param {Mark[]} marks */

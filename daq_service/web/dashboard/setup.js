@@ -1,10 +1,13 @@
-// The page of `solimon setup`: a live scope on canvas, and the question that waits at the terminal, too.
+// Run the page of `solimon setup`: a live scope on canvas, and the question that also waits at the terminal.
 
 import { byId, color, el, setText } from "./dom.js";
 
 /** @typedef {{first_s: number, column_s: number, lowest_v: number[], highest_v: number[], range_v: number}} Envelope */
 /** @typedef {{name: string, time_s: number | null, height_v: number | null}} Mark */
-/** @typedef {{range_v?: number, level_v?: number | null, marks?: Mark[], edges?: {name: string, time_s: number}[]}} Lines */
+/**
+ * @typedef {{range_v?: number, level_v?: number | null, marks?: Mark[], edges?: {name: string, time_s: number}[]}}
+ *   Lines
+ */
 /** @typedef {{number: number, name: string, text: string, default: string, choices: string[]}} Question */
 
 const KEPT = 12;
@@ -16,8 +19,8 @@ const field = /** @type {HTMLInputElement} */ (byId("answer"));
 /** @type {Envelope[]} */
 let kept = [];
 /** @type {{position: string | null, level_v: number | null}} */
-let looked = { position: null, level_v: null };
-let asked = -1;
+let scope = { position: null, level_v: null };
+let askedNumber = -1;
 let strikes = 0;
 
 /** @param {number} volts @param {number} half of the axis @param {number} height */
@@ -25,32 +28,34 @@ const yOf = (volts, half, height) => MARGIN.top + ((half - volts) / (2 * half)) 
 
 /**
  * @param {HTMLCanvasElement} canvas
- * @param {Envelope[]} records oldest first; the newest is drawn on top, in full colour
+ * @param {Envelope[]} envelopes oldest first; the newest is drawn on top, in full color
  * @param {Lines} lines
  */
-function draw(canvas, records, lines) {
+function draw(canvas, envelopes, lines) {
   const ratio = devicePixelRatio;
   const { clientWidth: width, clientHeight: height } = canvas;
   canvas.width = width * ratio;
   canvas.height = height * ratio;
   const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
   pen.scale(ratio, ratio);
-  const newest = records[records.length - 1];
+  const newest = envelopes[envelopes.length - 1];
   let half = 1.1 * (lines.level_v ? Math.abs(lines.level_v) : 0);
-  for (const record of records) for (let k = 0; k < record.lowest_v.length; k += 1) half = Math.max(half, 1.1 * Math.abs(record.lowest_v[k]), 1.1 * Math.abs(record.highest_v[k]));
+  for (const envelope of envelopes)
+    for (let k = 0; k < envelope.lowest_v.length; k += 1)
+      half = Math.max(half, 1.1 * Math.abs(envelope.lowest_v[k]), 1.1 * Math.abs(envelope.highest_v[k]));
   const range = lines.range_v ?? newest.range_v;
   if (half > 0.3 * range) half = Math.max(half, 1.1 * range);
   const length = newest.lowest_v.length * newest.column_s;
   const inner = width - MARGIN.left - MARGIN.right;
   const xOf = (/** @type {number} */ time) => MARGIN.left + ((time - newest.first_s) / length) * inner;
-  records.forEach((record, index) => {
+  envelopes.forEach((envelope, index) => {
     pen.strokeStyle = color("--data");
-    pen.globalAlpha = records.length === 1 ? 1 : 0.08 + 0.92 * ((index + 1) / records.length) ** 3;
+    pen.globalAlpha = envelopes.length === 1 ? 1 : 0.08 + 0.92 * ((index + 1) / envelopes.length) ** 3;
     pen.beginPath();
-    for (let k = 0; k < record.lowest_v.length; k += 1) {
-      const x = xOf(record.first_s + k * record.column_s);
-      pen.moveTo(x, yOf(record.highest_v[k], half, height));
-      pen.lineTo(x, yOf(record.lowest_v[k], half, height) + 1);
+    for (let k = 0; k < envelope.lowest_v.length; k += 1) {
+      const x = xOf(envelope.first_s + k * envelope.column_s);
+      pen.moveTo(x, yOf(envelope.highest_v[k], half, height));
+      pen.lineTo(x, yOf(envelope.lowest_v[k], half, height) + 1);
     }
     pen.stroke();
   });
@@ -94,15 +99,18 @@ function draw(canvas, records, lines) {
 
 /** @param {string} path @param {object} [body] @returns {Promise<any>} */
 async function ask(path, body) {
-  const options = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const options =
+    body === undefined
+      ? {}
+      : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
   const answer = await fetch(path, options);
   if (!answer.ok) throw new Error((await answer.json()).detail);
   return answer.json();
 }
 
 /** @param {string} text */
-async function give(text) {
-  const number = asked;
+async function sendAnswer(text) {
+  const number = askedNumber;
   for (const button of byId("form").querySelectorAll("button")) button.disabled = true;
   try {
     await ask("/api/answer", { number, text });
@@ -116,17 +124,21 @@ function show(question) {
   if (question === null) {
     setText(byId("question"), "Working");
     byId("form").hidden = true;
-    asked = -1;
+    askedNumber = -1;
     return;
   }
-  if (question.number === asked) return;
-  asked = question.number;
+  if (question.number === askedNumber) return;
+  askedNumber = question.number;
   byId("form").hidden = false;
   byId("form").dataset.name = question.name;
   setText(byId("question"), question.text);
   const buttons = question.choices.map((choice) => {
-    const button = el("button", { class: choice === question.default ? "button" : "button ghost", type: "button", text: choice });
-    button.addEventListener("click", () => void give(choice));
+    const button = el("button", {
+      class: choice === question.default ? "button" : "button ghost",
+      type: "button",
+      text: choice,
+    });
+    button.addEventListener("click", () => void sendAnswer(choice));
     return button;
   });
   byId("choices").replaceChildren(...buttons);
@@ -137,54 +149,69 @@ function show(question) {
 
 byId("form").addEventListener("submit", (event) => {
   event.preventDefault();
-  void give(field.value);
+  void sendAnswer(field.value);
 });
 
 async function showStrike() {
   const newest = await ask("/api/strike");
-  looked.level_v = newest.level_v ?? null;
-  const whole = /** @type {HTMLCanvasElement} */ (byId("strike"));
-  whole.dataset.strikes = String(strikes);
-  /** @type {HTMLElement} */ (whole.closest("section")).hidden = newest.strike === null && newest.shot !== null;
+  scope.level_v = newest.level_v ?? null;
+  const strikeCanvas = /** @type {HTMLCanvasElement} */ (byId("strike"));
+  strikeCanvas.dataset.strikes = String(strikes);
+  /** @type {HTMLElement} */ (strikeCanvas.closest("section")).hidden = newest.strike === null && newest.shot !== null;
   if (newest.strike !== null) {
     const edges = [{ name: "coil off", time_s: newest.off_s }];
     if (newest.holdoff_s) edges.push({ name: "listens", time_s: newest.off_s + newest.holdoff_s });
-    draw(whole, [newest.strike], { level_v: newest.level_v, edges });
-    whole.setAttribute("aria-label", `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`);
+    draw(strikeCanvas, [newest.strike], { level_v: newest.level_v, edges });
+    strikeCanvas.setAttribute(
+      "aria-label",
+      `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`,
+    );
   }
   const shot = /** @type {HTMLCanvasElement} */ (byId("shot"));
   shot.dataset.strikes = String(strikes);
   if (newest.shot === null) return;
   draw(shot, [newest.shot], { range_v: newest.proposed_range_v, level_v: newest.level_v, marks: newest.marks });
-  const told = newest.marks.map((/** @type {Mark} */ mark) => (mark.height_v === null || mark.time_s === null ? `no ${mark.name}` : `${mark.name} ${mark.height_v.toFixed(2)} V at ${(mark.time_s * 1e6).toFixed(1)} µs`));
-  shot.setAttribute("aria-label", told.join("; "));
-  setText(byId("flags"), `${told.join("; ")}; flags: ${newest.flags.join(", ") || "none"}`);
+  const markTexts = newest.marks.map((/** @type {Mark} */ mark) =>
+    mark.height_v === null || mark.time_s === null
+      ? `no ${mark.name}`
+      : `${mark.name} ${mark.height_v.toFixed(2)} V at ${(mark.time_s * 1e6).toFixed(1)} µs`,
+  );
+  shot.setAttribute("aria-label", markTexts.join("; "));
+  setText(byId("flags"), `${markTexts.join("; ")}; flags: ${newest.flags.join(", ") || "none"}`);
 }
 
-async function look() {
-  const { position, record, error } = await ask("/api/record", {});
-  if (position !== looked.position) {
+async function pollScope() {
+  const { position, record: envelope, error } = await ask("/api/record", {});
+  if (position !== scope.position) {
     kept = [];
-    looked = { position, level_v: looked.level_v };
+    scope = { position, level_v: scope.level_v };
     setText(byId("live-title"), position === null ? "At rest, free running" : `${position} at rest, free running`);
-    if (position !== null && record === null) setText(byId("live-title"), `${position}: its instrument records strikes only`);
+    if (position !== null && envelope === null)
+      setText(byId("live-title"), `${position}: its instrument records strikes only`);
   }
   if (error) setText(byId("state"), error);
-  if (!record) return;
-  kept = [...kept, record].slice(-KEPT);
-  draw(live, kept, { level_v: looked.level_v });
+  if (!envelope) return;
+  kept = [...kept, envelope].slice(-KEPT);
+  draw(live, kept, { level_v: scope.level_v });
   live.dataset.frames = String(Number(live.dataset.frames ?? 0) + 1);
-  live.setAttribute("aria-label", `${position} at rest, ${Number(Math.max(...record.highest_v).toPrecision(3))} V at most; range ±${record.range_v} V`);
+  live.setAttribute(
+    "aria-label",
+    `${position} at rest, ${Number(Math.max(...envelope.highest_v).toPrecision(3))} V at most; range ` +
+      `±${envelope.range_v} V`,
+  );
 }
 
-async function run() {
+async function pollState() {
   for (;;) {
     const state = await ask("/api/state");
     setText(byId("log"), state.lines.join("\n"));
     if (state.done) {
       setText(byId("state"), "Done");
       byId("form").hidden = true;
-      setText(byId("question"), state.lines.filter((/** @type {string} */ line) => line.includes("is written"))[0] ?? "Ended");
+      setText(
+        byId("question"),
+        state.lines.filter((/** @type {string} */ line) => line.includes("is written"))[0] ?? "Ended",
+      );
       return;
     }
     setText(byId("state"), state.question === null ? "Working" : "Waits for you");
@@ -193,12 +220,12 @@ async function run() {
       strikes = state.strikes;
       await showStrike();
     }
-    await look();
+    await pollScope();
     await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));
   }
 }
 
-run().catch(() => {
+pollState().catch(() => {
   setText(byId("state"), "Ended");
   byId("form").hidden = true;
   setText(byId("question"), "solimon setup has ended; the terminal says more");

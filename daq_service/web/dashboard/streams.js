@@ -1,24 +1,32 @@
-// The live waveforms (WebSocket, latest only), and how records come as bytes.
+// Receive live waveforms (WebSocket, newest only), and decode waveforms from bytes.
 
 import { BASE } from "./api.js";
 import { HEARTBEAT_S } from "./events/source.js";
-import { Watch } from "./events/watch.js";
+import { HeartbeatMonitor } from "./events/heartbeat.js";
 
 /**
- * @typedef {object} Record_
+ * @typedef {object} Waveform
  * @property {any} header
  * @property {Float64Array} volts
  * @property {Float64Array} micros time from the trigger in µs
  */
 
-/** @param {ArrayBuffer} buffer @returns {{header: any, start: number}} the JSON in front, and where the samples begin */
-export function head(buffer) {
+/**
+ * @param {ArrayBuffer} buffer
+ * @returns {{header: any, start: number}} the JSON header, and the byte where the samples start
+ */
+export function readHeader(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   return { header: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length))), start: 4 + length };
 }
 
-/** @param {ArrayBuffer} buffer @param {number} start @param {any} header dtype, scale and clock of the samples @param {number} [length] */
-export function record(buffer, start, header, length) {
+/**
+ * @param {ArrayBuffer} buffer
+ * @param {number} start
+ * @param {any} header dtype, scale and clock of the samples
+ * @param {number} [length]
+ */
+export function toWaveform(buffer, start, header, length) {
   const counts = new (header.dtype === "int32" ? Int32Array : Int16Array)(buffer, start, length);
   const volts = new Float64Array(counts.length);
   const micros = new Float64Array(counts.length);
@@ -32,26 +40,26 @@ export function record(buffer, start, header, length) {
   return { header, volts, micros };
 }
 
-/** @param {ArrayBuffer} buffer a live picture @returns {Record_} */
+/** @param {ArrayBuffer} buffer a live waveform @returns {Waveform} */
 export function decode(buffer) {
-  const { header, start } = head(buffer);
-  return record(buffer, start, header);
+  const { header, start } = readHeader(buffer);
+  return toWaveform(buffer, start, header);
 }
 
 export class WaveformStream {
-  /** @param {(record: Record_) => void} onRecord */
+  /** @param {(toWaveform: Waveform) => void} onRecord */
   constructor(onRecord) {
     this.onRecord = onRecord;
     this.position = "";
     this.delayMs = 500;
     /** @type {WebSocket | null} */
     this.socket = null;
-    this.watch = new Watch(HEARTBEAT_S, () => {
-      // Also one that still connects: others to this service would wait for it.
+    this.monitor = new HeartbeatMonitor(HEARTBEAT_S, () => {
+      // Also a connection that is not open yet: other connections to this service would wait for it.
       this.socket?.close();
       this.open(this.position);
     });
-    // A hidden tab needs no pictures.
+    // A hidden tab needs no waveforms.
     document.addEventListener("visibilitychange", () => (document.hidden ? this.close() : this.open(this.position)));
   }
 
@@ -64,15 +72,15 @@ export class WaveformStream {
     const socket = new WebSocket(`${scheme}//${location.host}${BASE}/api/v1/waveforms/live?positions=${position}`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    this.watch.connecting();
+    this.monitor.connecting();
     socket.onopen = () => {
       this.delayMs = 500;
-      this.watch.alive();
+      this.monitor.beat();
     };
     socket.onmessage = (message) => {
       if (this.socket !== socket) return;
       const heartbeat = typeof message.data === "string";
-      this.watch.alive(heartbeat ? JSON.parse(message.data).interval_s : undefined);
+      this.monitor.beat(heartbeat ? JSON.parse(message.data).interval_s : undefined);
       if (!heartbeat) this.onRecord(decode(message.data));
     };
     socket.onclose = () => {
@@ -85,8 +93,8 @@ export class WaveformStream {
   close() {
     const socket = this.socket;
     this.socket = null;
-    this.watch.rest();
-    // Closing while it connects would complain on the console.
+    this.monitor.stop();
+    // To close it while it connects would write an error to the console.
     if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close();
     else socket?.close();
   }

@@ -1,4 +1,4 @@
-// Light, dark, or as the computer has it. Paper is light whatever the screen is, and says when and from where it came.
+// Apply the light, dark or system theme. Printed pages are always light and state their time and address.
 
 import { byId, forgetColors, setText } from "./dom.js";
 import { utc } from "./format.js";
@@ -7,9 +7,13 @@ const KEY = "solimon-theme";
 const THEMES = ["auto", "light", "dark"];
 
 export class Theme {
-  /** @param {() => string} asked theme of the address @param {(theme: string) => void} choose @param {() => void} redraw */
-  constructor(asked, choose, redraw) {
-    this.asked = asked;
+  /**
+   * @param {() => string} addressTheme returns the theme of the address
+   * @param {(theme: string) => void} choose
+   * @param {() => void} redraw
+   */
+  constructor(addressTheme, choose, redraw) {
+    this.addressTheme = addressTheme;
     this.redraw = redraw;
     byId("theme").addEventListener("click", () => {
       const next = THEMES[(THEMES.indexOf(this.name) + 1) % THEMES.length];
@@ -19,24 +23,24 @@ export class Theme {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
     addEventListener("beforeprint", () => {
       setText(byId("printed"), `Printed ${utc(new Date().toISOString())} from ${location.href}`);
-      this.wear("light");
+      this.apply("light");
     });
     addEventListener("afterprint", () => this.show());
   }
 
-  /** The theme of the address, else what this browser remembers. */
+  /** The theme of the address, else the one that this browser remembers. */
   get name() {
-    const remembered = this.asked() || localStorage.getItem(KEY) || "";
+    const remembered = this.addressTheme() || localStorage.getItem(KEY) || "";
     return THEMES.includes(remembered) ? remembered : "auto";
   }
 
   show() {
     setText(byId("theme"), `Theme: ${this.name}`);
-    this.wear(this.name);
+    this.apply(this.name);
   }
 
   /** @param {string} name */
-  wear(name) {
+  apply(name) {
     if (name === "auto") delete document.documentElement.dataset.theme;
     else document.documentElement.dataset.theme = name;
     forgetColors();

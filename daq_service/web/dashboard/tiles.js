@@ -1,13 +1,13 @@
-// One tile a position: what it is, how it stands, how old that is.
+// Show one tile per position: its name, its state and the age of its data.
 
 import { el, setText } from "./dom.js";
 import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
 import { STATES, chip } from "./icons.js";
-import { causeOf, limitOf } from "./limit.js";
+import { diagnosisText, limitOf } from "./assessment.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** Position of a ratio on the gauge: 0.01 to 100 times the limit, logarithmic. @param {number} ratio */
+/** Return the position of a ratio on the gauge: 0.01 to 100 times the limit, logarithmic. @param {number} ratio */
 function onGauge(ratio) {
   return Math.max(0, Math.min(1, (Math.log10(Math.max(ratio, 1e-9)) + 2) / 4));
 }
@@ -27,7 +27,14 @@ function gauge(ratio) {
   };
   add("rect", { class: "gauge-track", x: "0.5", y: "2.5", width: "199", height: "5", rx: "2" });
   if (ratio !== null) {
-    const value = add("rect", { class: "gauge-value", x: "0.5", y: "2.5", width: String(199 * onGauge(ratio)), height: "5", rx: "2" });
+    const value = add("rect", {
+      class: "gauge-value",
+      x: "0.5",
+      y: "2.5",
+      width: String(199 * onGauge(ratio)),
+      height: "5",
+      rx: "2",
+    });
     value.dataset.over = String(ratio > 1);
   }
   add("line", { class: "gauge-limit", x1: "100", x2: "100", y1: "0", y2: "10" });
@@ -36,14 +43,18 @@ function gauge(ratio) {
 
 /** @param {[string, string][]} values */
 function list(values) {
-  return el("dl", { class: "tile-values" }, ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+  return el(
+    "dl",
+    { class: "tile-values" },
+    ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+  );
 }
 
 export class Tiles {
   /** @param {HTMLElement} root */
   constructor(root) {
     this.root = root;
-    /** What a click or an arrow key does. @type {(position: string) => void} */
+    /** Called when a click or an arrow key selects a position. @type {(position: string) => void} */
     this.onSelect = () => {};
     this.selected = "";
     /** @type {any[]} */
@@ -58,7 +69,8 @@ export class Tiles {
 
   /** @param {any} answer of /transducers */
   update(answer) {
-    // What came with the page is told again when the other scripts are there: it ages from its first time on.
+    // The answers embedded in the page are passed again when the other scripts have loaded; their age counts from the
+    // first time.
     if (this.asOf !== answer.as_of) this.readAt = performance.now();
     this.states = answer.items;
     this.asOf = answer.as_of;
@@ -90,12 +102,14 @@ export class Tiles {
     /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-position="${next}"]`))?.focus();
   }
 
-  /** Seconds since the recorder's last write, as known here. */
+  /** Return the seconds since the recorder's last write. */
   wallAgeS() {
-    return this.asOf?.wall_age_s === null || !this.asOf ? null : this.asOf.wall_age_s + (performance.now() - this.readAt) / 1000;
+    return this.asOf?.wall_age_s === null || !this.asOf
+      ? null
+      : this.asOf.wall_age_s + (performance.now() - this.readAt) / 1000;
   }
 
-  /** Ages grow without new data; called every second. */
+  /** Update the ages, which grow without new data; called every second. */
   tick() {
     const wall = this.wallAgeS();
     for (const tile of this.root.querySelectorAll(".tile")) {
@@ -107,22 +121,44 @@ export class Tiles {
       const text =
         state.age_h === null
           ? "nothing recorded yet"
-          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ${wall === null ? NONE : duration(wall)} ago`;
+          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ` +
+            `${wall === null ? NONE : duration(wall)} ago`;
       setText(age, text);
     }
   }
 
   /** @param {any} state @returns {HTMLElement} */
   tile(state) {
-    const look = STATES[state.state] ?? STATES.no_data;
+    const stateLook = STATES[state.state] ?? STATES.no_data;
     const body = state.method === "pulse_echo" ? this.pulseEcho(state) : this.solitaryWave(state);
     const chosen = state.position === this.selected;
     const tile = el(
       "div",
-      { class: "tile", role: "radio", "aria-checked": String(chosen), tabindex: chosen ? "0" : "-1", "aria-label": `Position ${state.position}, ${state.label}: ${look.word}` },
-      el("div", { class: "tile-head" }, el("span", { class: "tile-name", text: state.position }), el("span", { class: "tile-label", text: state.label }), chip(look)),
+      {
+        class: "tile",
+        role: "radio",
+        "aria-checked": String(chosen),
+        tabindex: chosen ? "0" : "-1",
+        "aria-label": `Position ${state.position}, ${state.label}: ${stateLook.label}`,
+      },
+      el(
+        "div",
+        { class: "tile-head" },
+        el("span", { class: "tile-name", text: state.position }),
+        el("span", { class: "tile-label", text: state.label }),
+        chip(stateLook),
+      ),
       ...body,
-      ...(state.suppressed_alarms ? [el("p", { class: "quiet small", text: `${state.suppressed_alarms} shelved or out of service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}` })] : []),
+      ...(state.suppressed_alarms
+        ? [
+            el("p", {
+              class: "quiet small",
+              text:
+                `${state.suppressed_alarms} shelved or out of ` +
+                `service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}`,
+            }),
+          ]
+        : []),
       el("p", { class: "tile-age" }),
     );
     tile.dataset.position = state.position;
@@ -133,17 +169,33 @@ export class Tiles {
 
   /** @param {any} state @returns {Element[]} */
   solitaryWave(state) {
-    const verdict = state.last_verdict;
+    const { last_verdict: assessment } = state;
     const feature = state.last_feature;
-    const limit = verdict ? limitOf(verdict) : null;
-    const ratio = verdict && limit && verdict.distance_squared !== null ? verdict.distance_squared / limit : null;
-    const note = ratio === null ? (verdict?.reason ?? "no limit yet") : `× limit (D² ${significant(verdict.distance_squared)} of ${significant(limit)})`;
+    const limit = assessment ? limitOf(assessment) : null;
+    const ratio =
+      assessment && limit && assessment.distance_squared !== null ? assessment.distance_squared / limit : null;
+    const note =
+      ratio === null
+        ? (assessment?.reason ?? "no limit yet")
+        : `× limit (D² ${significant(assessment.distance_squared)} of ${significant(limit)})`;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }), el("span", { class: "figure-note", text: note })),
+      el(
+        "div",
+        { class: "tile-figure" },
+        el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }),
+        el("span", { class: "figure-note", text: note }),
+      ),
       gauge(ratio),
       list([
-        ...(verdict?.cause ? [/** @type {[string, string]} */ (["Cause", causeOf(verdict)])] : []),
-        ...(typeof verdict?.chart === "number" && verdict.limits?.chart ? [/** @type {[string, string]} */ (["Chart", `${significant(verdict.chart)}, limit ${significant(verdict.limits.chart)}`])] : []),
+        ...(assessment?.cause ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
+        ...(typeof assessment?.chart === "number" && assessment.limits?.chart
+          ? [
+              /** @type {[string, string]} */ ([
+                "Chart",
+                `${significant(assessment.chart)}, limit ${significant(assessment.limits.chart)}`,
+              ]),
+            ]
+          : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],
@@ -154,11 +206,23 @@ export class Tiles {
   /** @param {any} state @returns {Element[]} */
   pulseEcho(state) {
     const row = state.last_thickness;
-    const initial = row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
-    const part = initial ? row.thickness_loss_m / initial : null;
-    const ratio = part === null || !this.lossLimit ? null : part / this.lossLimit;
+    const initial =
+      row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
+    const fraction = initial ? row.thickness_loss_m / initial : null;
+    const ratio = fraction === null || !this.lossLimit ? null : fraction / this.lossLimit;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: part === null ? "wall thickness" : `${fixed(100 * part, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %` })),
+      el(
+        "div",
+        { class: "tile-figure" },
+        el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }),
+        el("span", {
+          class: "figure-note",
+          text:
+            fraction === null
+              ? "wall thickness"
+              : `${fixed(100 * fraction, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %`,
+        }),
+      ),
       gauge(ratio),
       list([
         ["Loss", quantity(row?.thickness_loss_m, 1e3, 2, "mm")],

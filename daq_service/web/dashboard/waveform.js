@@ -1,4 +1,4 @@
-// The newest record of a position, as the recorder's live picture shows it.
+// Show the newest waveform of a position, live from the recorder.
 
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 import { axisLook } from "./charts/plot.js";
@@ -6,14 +6,13 @@ import { color, el, setText } from "./dom.js";
 import { NONE, fixed, hour, quantity, setName } from "./format.js";
 import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
-/** @typedef {import("./streams.js").Record_} Record_ */
-
+/** @typedef {import("./streams.js").Waveform} Waveform */
 
 export class SolimonWaveform extends HTMLElement {
   constructor() {
     super();
-    /** @type {Record_ | null} */
-    this.record = null;
+    /** @type {Waveform | null} */
+    this.waveform = null;
     /** @type {any} */
     this.plot = null;
     this.received = 0;
@@ -28,7 +27,13 @@ export class SolimonWaveform extends HTMLElement {
     this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
-    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Live waveform, table", hidden: true });
+    this.tableBox = el("div", {
+      class: "table-wrap",
+      tabindex: "0",
+      role: "region",
+      "aria-label": "Live waveform, table",
+      hidden: true,
+    });
     this.toggle.addEventListener("click", () => {
       const shown = this.tableBox.hidden;
       this.tableBox.hidden = !shown;
@@ -44,7 +49,12 @@ export class SolimonWaveform extends HTMLElement {
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", "waveform-title");
     this.append(
-      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), el("div", { class: "card-actions" }, this.toggle)),
+      el(
+        "div",
+        { class: "card-head" },
+        el("div", {}, this.heading, this.subtitle),
+        el("div", { class: "card-actions" }, this.toggle),
+      ),
       this.readouts,
       this.box,
       this.tableBox,
@@ -53,7 +63,7 @@ export class SolimonWaveform extends HTMLElement {
 
   /** @param {string} position @param {string} label */
   select(position, label) {
-    this.record = null;
+    this.waveform = null;
     this.plot?.destroy();
     this.plot = null;
     this.emptyText.hidden = false;
@@ -65,32 +75,44 @@ export class SolimonWaveform extends HTMLElement {
     delete this.dataset.sequence;
   }
 
-  /** @param {Record_} record */
-  show(record) {
-    const sameKind = this.record?.header.method === record.header.method && this.record?.volts.length === record.volts.length;
-    this.record = record;
+  /** @param {Waveform} waveform */
+  show(waveform) {
+    const sameKind =
+      this.waveform?.header.method === waveform.header.method && this.waveform?.volts.length === waveform.volts.length;
+    this.waveform = waveform;
     this.received = performance.now();
     this.changes += 1;
-    this.dataset.sequence = String(record.header.sequence);
-    this.dataset.samples = String(record.volts.length);
+    this.dataset.sequence = String(waveform.header.sequence);
+    this.dataset.samples = String(waveform.volts.length);
     this.emptyText.hidden = true;
-    const { header } = record;
-    setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
+    const { header } = waveform;
+    setText(
+      this.subtitle,
+      `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ` +
+        `${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
+    );
     this.fillReadouts();
-    this.box.setAttribute("aria-label", `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`);
-    if (this.plot && sameKind) this.plot.setData([record.micros, record.volts]);
+    this.box.setAttribute(
+      "aria-label",
+      `Record of position ${header.position}: ` +
+        `${[...this.readouts.children].map((group) => group.textContent).join("; ")}`,
+    );
+    if (this.plot && sameKind) this.plot.setData([waveform.micros, waveform.volts]);
     else this.draw();
     if (!this.tableBox.hidden) this.fillTable();
   }
 
   fillReadouts() {
-    const { header, volts } = /** @type {Record_} */ (this.record);
+    const { header, volts } = /** @type {Waveform} */ (this.waveform);
     const groups = [];
     if (header.method === "solitary_wave") {
       for (const pulse of PULSES) {
         const time = header.marks[pulse.time];
         const height = header.marks[pulse.height];
-        groups.push([`${pulse.name} (${pulse.long})`, time === null ? NONE : `${quantity(time, 1e6, 1, "µs")} · ${quantity(height, 1, 3, "V")}`]);
+        groups.push([
+          `${pulse.name} (${pulse.long})`,
+          time === null ? NONE : `${quantity(time, 1e6, 1, "µs")} · ${quantity(height, 1, 3, "V")}`,
+        ]);
       }
       const { isw_time_s: isw, psw_time_s: psw, isw_amplitude_v: a, psw_amplitude_v: b } = header.marks;
       groups.push(["Peak to peak, PSW − ISW", isw === null || psw === null ? NONE : quantity(psw - isw, 1e6, 2, "µs")]);
@@ -98,21 +120,39 @@ export class SolimonWaveform extends HTMLElement {
     } else {
       let peak = 0;
       for (const value of volts) peak = Math.max(peak, Math.abs(value));
-      groups.push(["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`], ["Largest amplitude", quantity(peak, 1, 3, "V")]);
+      groups.push(
+        ["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`],
+        ["Largest amplitude", quantity(peak, 1, 3, "V")],
+      );
     }
-    this.readouts.replaceChildren(...groups.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+    this.readouts.replaceChildren(
+      ...groups.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+    );
   }
 
   fillTable() {
-    if (!this.record) return;
-    const { micros, volts } = this.record;
+    if (!this.waveform) return;
+    const { micros, volts } = this.waveform;
     const step = Math.max(1, Math.ceil(volts.length / 400));
     const body = el("tbody");
     for (let k = 0; k < volts.length; k += step) {
       body.append(el("tr", {}, el("td", { text: micros[k].toFixed(2) }), el("td", { text: volts[k].toFixed(4) })));
     }
-    const head = el("tr", {}, el("th", { scope: "col", text: "Time from the trigger (µs)" }), el("th", { scope: "col", text: "Sensor voltage (V)" }));
-    this.tableBox.replaceChildren(el("table", {}, el("caption", { text: `Every ${step}th of ${volts.length} samples; all of them are in the API` }), el("thead", {}, head), body));
+    const head = el(
+      "tr",
+      {},
+      el("th", { scope: "col", text: "Time from the trigger (µs)" }),
+      el("th", { scope: "col", text: "Sensor voltage (V)" }),
+    );
+    this.tableBox.replaceChildren(
+      el(
+        "table",
+        {},
+        el("caption", { text: `Every ${step}th of ${volts.length} samples; all of them are in the API` }),
+        el("thead", {}, head),
+        body,
+      ),
+    );
   }
 
   /** @param {KeyboardEvent} event */
@@ -121,22 +161,25 @@ export class SolimonWaveform extends HTMLElement {
     const step = steps[event.key];
     if (step === undefined || !this.plot) return;
     event.preventDefault();
-    const left = Math.max(0, (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3);
+    const left = Math.max(
+      0,
+      (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3,
+    );
     this.plot.setCursor({ left: Math.min(left, this.plot.over.clientWidth), top: this.plot.over.clientHeight / 2 });
   }
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.box;
     if (this.plot && width && height) this.plot.setSize({ width, height });
-    else if (!this.plot && this.record) this.draw();
+    else if (!this.plot && this.waveform) this.draw();
   }
 
-  /** Draw anew, e.g. in the colours of another theme. */
+  /** Draw again, e.g. in the colors of another theme. */
   draw() {
     this.plot?.destroy();
     this.plot = null;
     const { clientWidth: width, clientHeight: height } = this.box;
-    if (!this.record || !width || !height) return;
+    if (!this.waveform || !width || !height) return;
     const axis = axisLook();
     this.plot = new uPlot(
       {
@@ -164,27 +207,38 @@ export class SolimonWaveform extends HTMLElement {
           setCursor: [
             (/** @type {any} */ u) => {
               const index = u.cursor.idx;
-              const record = this.record;
-              setText(this.readout, record && index !== null && index !== undefined ? `${record.micros[index].toFixed(2)} µs · ${record.volts[index].toFixed(4)} V` : "");
+              const waveform = this.waveform;
+              setText(
+                this.readout,
+                waveform && index !== null && index !== undefined
+                  ? `${waveform.micros[index].toFixed(2)} µs · ${waveform.volts[index].toFixed(4)} V`
+                  : "",
+              );
             },
           ],
         },
       },
-      /** @type {any} */ ([this.record.micros, this.record.volts]),
+      /** @type {any} */ ([this.waveform.micros, this.waveform.volts]),
       this.box,
     );
   }
 
   /** @param {any} u */
   drawMarks(u) {
-    const { header } = /** @type {Record_} */ (this.record);
+    const { header } = /** @type {Waveform} */ (this.waveform);
     if (header.method === "solitary_wave") drawPulses(u, marksOf(header.marks));
   }
 
-  /** What is drawn, for tests and for the curious; copies. */
+  /** Return copies of what is drawn, for tests and the console. */
   snapshot() {
-    return this.record === null
+    return this.waveform === null
       ? null
-      : { header: structuredClone(this.record.header), volts: [...this.record.volts], micros: [...this.record.micros], changes: this.changes, drawn: Boolean(this.plot) };
+      : {
+          header: structuredClone(this.waveform.header),
+          volts: [...this.waveform.volts],
+          micros: [...this.waveform.micros],
+          changes: this.changes,
+          drawn: Boolean(this.plot),
+        };
   }
 }

@@ -1,58 +1,100 @@
-// The charts of the page: which features they show, of which positions, over what hours.
+// Update the charts of the page: their features, positions and hours.
 
 import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
 import { notesOn } from "../notes.js";
-import { isFeature, wordOf } from "./features.js";
-import { bandsOf, inForce } from "./lives.js";
-import { isOther, nameOf } from "./others.js";
-import { colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
+import { isFeature, featureLabel } from "./features.js";
+import { baselineRanges, baselineAt } from "./baselines.js";
+import { isOther, nameOf } from "./other-tests.js";
+import { colorOf, fitLine, mergeHours, onAxis, relativeTo, scaleValues, shownUnit } from "./series.js";
 
-/** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
+/**
+ * @typedef {import("./chart.js").SolimonChart} SolimonChart
+ * @typedef {import("../view.js").View} View
+ * @typedef {import("./series.js").Line} Line
+ */
 
 /** @param {any} fit @param {number} scale @param {string} unit */
 function equation(fit, scale, unit) {
   if (!fit?.coefficients) return fit?.reason ?? "no fit yet";
   const [c0, c1, c2] = fit.coefficients.map((/** @type {number} */ c) => scale * c);
   const sign = (/** @type {number} */ value) => (value < 0 ? "− " : "+ ") + scientific(Math.abs(value));
-  return `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ${fixed(fit.r_squared, 3)} · residual SD ${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`;
+  return (
+    `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ` +
+    `${fixed(fit.r_squared, 3)} · residual SD ` +
+    `${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`
+  );
 }
 
-/** Missed and retired sets that follow each other, as hours. @param {any[]} gaps @returns {import("./marks.js").Range[]} */
-export function rangesOf(gaps) {
+/**
+ * Return the hours of consecutive missed or disabled sets.
+ *
+ * @param {any[]} gaps
+ * @returns {import("./marks.js").Range[]}
+ */
+export function gapRanges(gaps) {
   /** @type {any[]} */
   const ranges = [];
   for (const row of gaps) {
-    const word = row.state === "retired" ? "retired" : String(row.cause).startsWith("held") ? "held" : "missed";
+    const label = row.state === "retired" ? "retired" : String(row.cause).startsWith("held") ? "held" : "missed";
     const last = ranges.at(-1);
-    if (last && last.word === word && last.set_index + 1 === row.set_index) Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
-    else ranges.push({ from_h: row.due_h, to_h: row.due_h, word, tone: word === "retired" ? "alarm" : "warn", set_index: row.set_index });
+    if (last && last.label === label && last.set_index + 1 === row.set_index)
+      Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
+    else
+      ranges.push({
+        from_h: row.due_h,
+        to_h: row.due_h,
+        label,
+        tone: label === "retired" ? "alarm" : "warn",
+        set_index: row.set_index,
+      });
   }
-  return ranges.map(({ from_h, to_h, word, tone }) => ({ from_h, to_h, word, tone }));
+  return ranges.map(({ from_h, to_h, label, tone }) => ({ from_h, to_h, label, tone }));
 }
 
-/** Sets beside the plan: a line with its word. @param {any[]} beside @returns {import("./marks.js").Range[]} */
-export function besideOf(beside) {
-  return beside.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, word: "confirmation set", tone: "note" }));
+/**
+ * Return unscheduled sets as lines with a label.
+ *
+ * @param {any[]} confirmations
+ * @returns {import("./marks.js").Range[]}
+ */
+export function confirmationRanges(confirmations) {
+  return confirmations.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, label: "confirmation set", tone: "note" }));
 }
 
 export class Board {
   /**
-   * @param {import("../reading.js").Reading} reading @param {import("./others.js").Others} others of other tests
+   * @param {import("../data-loader.js").DataLoader} loader
+   * @param {import("./other-tests.js").OtherTests} others of other tests
    * @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature
    */
-  constructor(reading, others, host, onFeature) {
-    this.reading = reading;
+  constructor(loader, others, host, onFeature) {
+    this.loader = loader;
     this.others = others;
     const chart = (/** @type {string} */ id) => /** @type {SolimonChart} */ (byId(id));
-    this.charts = { distance: chart("distance"), chart: chart("chart"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
-    this.charts.distance.configure({ title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" }, host);
-    this.charts.chart.configure({ title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" }, host);
+    this.charts = {
+      distance: chart("distance"),
+      chart: chart("chart"),
+      tof: chart("tof"),
+      amplitudeRatio: chart("amplitude-ratio"),
+      thickness: chart("thickness"),
+      feature: chart("feature"),
+    };
+    this.charts.distance.configure(
+      { title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" },
+      host,
+    );
+    this.charts.chart.configure(
+      { title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" },
+      host,
+    );
     this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
     this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
     this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo record yet" }, host);
     this.charts.feature.configure({ title: "Any feature", empty: "No set yet" }, host);
-    this.choice = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Feature of this chart" }));
+    this.choice = /** @type {HTMLSelectElement} */ (
+      el("select", { class: "field small", "aria-label": "Feature of this chart" })
+    );
     this.choice.addEventListener("change", () => onFeature(this.choice.value));
     this.charts.feature.actions.prepend(this.choice);
     this.offered = "";
@@ -64,67 +106,93 @@ export class Board {
 
   /** @param {string} position of this test or, as an entry of `compare`, of another */
   trend(position) {
-    return isOther(position) ? this.others.trends.get(position) : this.reading.trend(position);
+    return isOther(position) ? this.others.trends.get(position) : this.loader.trend(position);
   }
 
-  /** Baselines of a position. @param {string} position as of `trend` @returns {import("./lives.js").Life[]} */
-  lives(position) {
-    return (isOther(position) ? this.others.lives.get(position) : this.reading.lives.get(position)) ?? [];
+  /** Baselines of a position. @param {string} position as of `trend` @returns {import("./baselines.js").Baseline[]} */
+  baselines(position) {
+    return (isOther(position) ? this.others.baselines.get(position) : this.loader.baselines.get(position)) ?? [];
   }
 
   redraw() {
     for (const chart of this.all) chart.draw();
   }
 
-  /** Positions of this test that are drawn. @param {View} view @param {string} charted position of the solitary-wave charts */
+  /**
+   * Positions of this test that are drawn.
+   *
+   * @param {View} view
+   * @param {string} charted position of the solitary-wave charts
+   */
   drawn(view, charted) {
-    const probes = this.reading.info.positions.filter((/** @type {any} */ place) => place.method === "pulse_echo").map((/** @type {any} */ place) => place.position);
+    const probes = this.loader.info.positions
+      .filter((/** @type {any} */ positionInfo) => positionInfo.method === "pulse_echo")
+      .map((/** @type {any} */ positionInfo) => positionInfo.position);
     const probe = probes.includes(view.position) ? view.position : probes[0];
-    const over = view.compare.filter((position) => position !== charted && this.reading.place(position)?.method === "solitary_wave");
+    const over = view.compare.filter(
+      (position) => position !== charted && this.loader.positionInfo(position)?.method === "solitary_wave",
+    );
     return { probe, over, all: [charted, ...over, ...(probe ? [probe] : [])] };
   }
 
   /** @param {View} view what is shown @param {string} charted position of the solitary-wave charts */
   update(view, charted) {
-    if (!this.reading.info) return;
+    if (!this.loader.info) return;
     this.offer(view.feature);
     const { probe, over } = this.drawn(view, charted);
-    const others = (/** @type {string} */ method) => view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
+    const others = (/** @type {string} */ method) =>
+      view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
     const waves = [charted, ...over, ...others("solitary_wave")];
     this.charts.thickness.hidden = !probe;
-    if (this.reading.trends.has(charted)) {
+    if (this.loader.trends.has(charted)) {
       this.distance(view, waves);
-      this.budget(view, waves);
+      this.controlChart(view, waves);
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
-    if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe, ...others("pulse_echo")], "thickness_m", "thickness_mm", "thickness");
-    const ofProbe = probe && view.feature in (this.reading.baseline(probe)?.units ?? {});
+    if (probe && this.loader.trends.has(probe))
+      this.draw(
+        this.charts.thickness,
+        view,
+        [probe, ...others("pulse_echo")],
+        "thickness_m",
+        "thickness_mm",
+        "thickness",
+      );
+    const ofProbe = probe && view.feature in (this.loader.baseline(probe)?.units ?? {});
     const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
     if (this.trend(shown[0])?.columns[view.feature]) {
-      this.charts.feature.entitle(wordOf(view.feature));
-      this.draw(this.charts.feature, view, shown, view.feature, view.feature, wordOf(view.feature));
+      this.charts.feature.setTitle(featureLabel(view.feature));
+      this.draw(this.charts.feature, view, shown, view.feature, view.feature, featureLabel(view.feature));
     }
     for (const chart of this.all) chart.showTable(view.tables.includes(chart.id));
   }
 
-  /** All features that the API has, by method. @param {string} feature */
+  /** Offer all features of the API, by method. @param {string} feature */
   offer(feature) {
     const groups = new Map();
-    for (const place of this.reading.info.positions) {
-      const units = this.reading.baseline(place.position)?.units;
-      if (units) groups.set(place.method, Object.keys(units).filter(isFeature));
+    for (const positionInfo of this.loader.info.positions) {
+      const units = this.loader.baseline(positionInfo.position)?.units;
+      if (units) groups.set(positionInfo.method, Object.keys(units).filter(isFeature));
     }
     const offered = JSON.stringify([...groups]);
     if (offered !== this.offered) {
       this.offered = offered;
-      this.choice.replaceChildren(...[...groups].map(([method, names]) => el("optgroup", { label: method.replace("_", " ") }, ...names.map((/** @type {string} */ name) => el("option", { value: name, text: wordOf(name) })))));
+      this.choice.replaceChildren(
+        ...[...groups].map(([method, names]) =>
+          el(
+            "optgroup",
+            { label: method.replace("_", " ") },
+            ...names.map((/** @type {string} */ name) => el("option", { value: name, text: featureLabel(name) })),
+          ),
+        ),
+      );
     }
     this.choice.value = feature;
   }
 
   /**
-   * Lines of one feature for some positions, on one axis.
+   * Return the lines of one feature for some positions, on one axis.
    *
    * @param {View} view @param {string[]} positions the first one is the chosen one
    * @param {string} field @param {string} key @param {string} short
@@ -134,14 +202,17 @@ export class Board {
     const trends = shown.map((position) => this.trend(position));
     const columns = trends.map((one) => one.columns);
     const { factor, unit, digits } = shownUnit(this.trend(positions[0]).units[field]);
-    const { x, rows } = joined(columns.map((one) => one.due_h));
+    const { x, rows } = mergeHours(columns.map((one) => one.due_h));
     const relative = view.relative && !["distance_squared", "chart"].includes(field);
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
-      const scale = relative ? relativeTo(this.lives(position), field) : (/** @type {number} */ value) => value * factor;
+      const scale = relative
+        ? relativeTo(this.baselines(position), field)
+        : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
-      const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(scaled(values, columns[k].due_h, scale), rows[k]);
+      const inUnit = (/** @type {(number | null)[]} */ values) =>
+        onAxis(scaleValues(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
@@ -153,11 +224,21 @@ export class Board {
         points: true,
         y: inUnit(columns[k][field]),
         position,
-        // A bin leads to its outlier, if it has one.
-        sets: onAxis(trends[k].bins ? columns[k].set_index.map((/** @type {number} */ set, /** @type {number} */ row) => trends[k].bins.first_outlier_set_index[row] ?? set) : columns[k].set_index, rows[k]),
-        firsts: onAxis(columns[k].set_index, rows[k]),
+        // A bin opens its outlier, if it has one.
+        sets: onAxis(
+          trends[k].bins
+            ? columns[k].set_index.map(
+                (/** @type {number} */ set, /** @type {number} */ row) =>
+                  trends[k].bins.first_outlier_set_index[row] ?? set,
+              )
+            : columns[k].set_index,
+          rows[k],
+        ),
+        firstSets: onAxis(columns[k].set_index, rows[k]),
         step: trends[k].bin_sets,
-        ...(trends[k].bins?.minimum[field] ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) } : {}),
+        ...(trends[k].bins?.minimum[field]
+          ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) }
+          : {}),
         quality: onAxis(columns[k].quality, rows[k]),
       });
     });
@@ -165,64 +246,166 @@ export class Board {
   }
 
   /** @param {View} view @param {string[]} positions */
-  about(view, positions) {
-    const { info } = this.reading;
+  context(view, positions) {
+    const { info } = this.loader;
     const [position] = positions;
-    const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
+    const alarms = this.loader.alarms
+      .filter((alarm) => positions.includes(alarm.position))
+      .map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
-    const of = { method: this.reading.place(position).method, positions: positions.filter((one) => !isOther(one)) };
-    return { of, ranges: [...bandsOf(this.lives(position)), ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => [...rangesOf(this.reading.gaps.get(one) ?? []), ...besideOf(this.reading.beside.get(one) ?? [])])], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
+    const of = {
+      method: this.loader.positionInfo(position).method,
+      positions: positions.filter((one) => !isOther(one)),
+    };
+    return {
+      of,
+      ranges: [
+        ...baselineRanges(this.baselines(position)),
+        ...notesOn(this.loader.notes, positions),
+        ...positions.flatMap((one) => [
+          ...gapRanges(this.loader.gaps.get(one) ?? []),
+          ...confirmationRanges(this.loader.confirmations.get(one) ?? []),
+        ]),
+      ],
+      alarms,
+      opened,
+      endHour: info.schedule.end_h,
+      at:
+        `Position ${position}` +
+        (positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : "") +
+        (positions.some(isOther) ? ", each from its own hour 0" : ""),
+    };
   }
 
-  /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
+  /** Return the hour of a set; null: it has not been read. @param {string} position @param {number} index */
   hourOf(position, index) {
     const columns = this.trend(position)?.columns;
     const row = columns?.set_index.indexOf(index) ?? -1;
-    const others = [...(this.reading.gaps.get(position) ?? []), ...(this.reading.beside.get(position) ?? [])];
+    const others = [...(this.loader.gaps.get(position) ?? []), ...(this.loader.confirmations.get(position) ?? [])];
     return row >= 0 ? columns.due_h[row] : (others.find((one) => one.set_index === index)?.due_h ?? null);
   }
 
-  /** @param {SolimonChart} chart @param {View} view @param {string[]} positions @param {string} field @param {string} key @param {string} short */
+  /**
+   * @param {SolimonChart} chart
+   * @param {View} view
+   * @param {string[]} positions
+   * @param {string} field
+   * @param {string} key
+   * @param {string} short
+   */
   draw(chart, view, positions, field, key, short) {
     const { lines, x, scales, relative, unit, digits, factor } = this.lines(view, positions, field, key, short);
-    const { at, of, ...about } = this.about(view, positions);
-    const fit = this.reading.fits.get(`${positions[0]} ${field}`);
-    if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
-    // Beside the axis there is no room for more.
-    const [word] = chart.options.title.split(",");
-    const name = relative ? `${word}, change (%)` : unit ? `${word} (${unit})` : word;
+    const { at, of, ...context } = this.context(view, positions);
+    const fit = this.loader.fits.get(`${positions[0]} ${field}`);
+    if (fit && (!relative || lines[0].y.some((value) => value !== null)))
+      lines.push({
+        key: "fit",
+        label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit",
+        short: "fit",
+        color: "--fit",
+        points: false,
+        dash: [7, 4],
+        y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))),
+      });
+    // There is no room for more at the axis.
+    const [label] = chart.options.title.split(",");
+    const name = relative ? `${label}, change (%)` : unit ? `${label} (${unit})` : label;
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
-    const says = relative ? `relative to each position's own baseline${this.lives(positions[0]).length > 1 ? ", from each one's first set on to that one" : ""}` : fit ? equation(fit, factor, unit) : "";
-    chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, says].filter(Boolean).join(" · "), taken: { fields: [field], ...of }, ...about });
+    const remark = relative
+      ? "relative to each position's own baseline" +
+        (this.baselines(positions[0]).length > 1 ? ", from each one's first set on to that one" : "")
+      : fit
+        ? equation(fit, factor, unit)
+        : "";
+    chart.update({
+      x,
+      lines,
+      name,
+      unit,
+      digits,
+      subtitle: [at, bins, remark].filter(Boolean).join(" · "),
+      exported: { fields: [field], ...of },
+      ...context,
+    });
   }
 
   /** @param {View} view @param {string[]} positions */
   distance(view, positions) {
     const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
-    lines.forEach((line) => (line.outlier = onAxis(this.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
-    const { at, of: places, ...about } = this.about(view, positions);
+    lines.forEach(
+      (line) =>
+        (line.outlier = onAxis(
+          this.trend(/** @type {string} */ (line.position)).columns.outlier,
+          rows[lines.indexOf(line)],
+        )),
+    );
+    const { at, of: source, ...context } = this.context(view, positions);
     const { columns } = this.trend(positions[0]);
-    const { limits } = this.reading.info;
+    const { limits } = this.loader.info;
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
     lines.push(
-      { key: "limit_f", label: `predictive F limit${of}`, short: "F limit", color: "--limit", points: false, y: onAxis(columns.limit_f, rows[0]) },
-      { key: "limit_paper", label: `paper's mean + 3 SD limit${of}`, short: "paper's limit", color: "--limit-other", points: false, dash: [2, 4], y: onAxis(columns.limit_paper, rows[0]) },
+      {
+        key: "limit_f",
+        label: `predictive F limit${of}`,
+        short: "F limit",
+        color: "--limit",
+        points: false,
+        y: onAxis(columns.limit_f, rows[0]),
+      },
+      {
+        key: "limit_paper",
+        label: `paper's mean + 3 SD limit${of}`,
+        short: "paper's limit",
+        color: "--limit-other",
+        points: false,
+        dash: [2, 4],
+        y: onAxis(columns.limit_paper, rows[0]),
+      },
     );
     const rule = limits.decides_by === "k_of_n" ? `alarm at ${limits.k} of ${limits.n}` : "the chart decides";
-    const deciding = limits.deciding === "f_predictive" ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)` : `outlier beyond ${limits.deciding}`;
-    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · ${rule}`, taken: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...places }, ...about });
+    const deciding =
+      limits.deciding === "f_predictive"
+        ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)`
+        : `outlier beyond ${limits.deciding}`;
+    this.charts.distance.update({
+      x,
+      lines,
+      name: "Squared distance D²",
+      unit,
+      digits: 2,
+      subtitle: `${at} · ${deciding} · ${rule}`,
+      exported: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...source },
+      ...context,
+    });
   }
 
-  /** The chart that averages over sets, and its limit. @param {View} view @param {string[]} positions */
-  budget(view, positions) {
+  /** Draw the control chart, which averages over sets, and its limit. @param {View} view @param {string[]} positions */
+  controlChart(view, positions) {
     const { lines, x, unit } = this.lines(view, positions, "chart", "chart", "chart");
-    const { at, of: places, ...about } = this.about(view, positions);
-    const { limits } = this.reading.info;
-    const limit = x.map((hour) => inForce(this.lives(positions[0]), hour)?.row.limits?.chart ?? null);
+    const { at, of: source, ...context } = this.context(view, positions);
+    const { limits } = this.loader.info;
+    const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.chart ?? null);
     const values = this.trend(positions[0]).columns.chart ?? [];
-    if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null)) lines.push({ key: "limit_chart", label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`, short: "limit", color: "--limit", points: false, y: limit });
+    if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
+      lines.push({
+        key: "limit_chart",
+        label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`,
+        short: "limit",
+        color: "--limit",
+        points: false,
+        y: limit,
+      });
     const rule = limits.decides_by === "chart" ? "it decides" : `a view: alarm at ${limits.k} of ${limits.n} sets`;
-    this.charts.chart.update({ x, lines, name: "Chart", unit, digits: 2, subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`, taken: { fields: ["chart"], ...places }, ...about });
+    this.charts.chart.update({
+      x,
+      lines,
+      name: "Chart",
+      unit,
+      digits: 2,
+      subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`,
+      exported: { fields: ["chart"], ...source },
+      ...context,
+    });
   }
 }

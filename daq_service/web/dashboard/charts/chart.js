@@ -1,18 +1,18 @@
-// A trend over the hours of the experiment: a plot, a table of the same numbers for those who do not see
-// it, keys for those without a pointer; each point leads to its set.
+// Show a trend over the hours of the test: a plot, a table of the same numbers for those who do not see
+// it, keys for those without a pointer; each point opens its set.
 
 import { el, setText } from "../dom.js";
 import { chartOffer, exportMenu } from "../export.js";
 import { NONE, fixed } from "../format.js";
 import { onZoomKey, within } from "./gestures.js";
 import { swatch } from "./legend.js";
-import { dataOf, makePlot, wholeOf } from "./plot.js";
+import { dataOf, makePlot, fullSpan } from "./plot.js";
 
 /**
  * @typedef {object} ChartOptions
  * @property {string} title
  * @property {boolean} [log]
- * @property {string} empty what to say without data
+ * @property {string} empty text without data
  *
  * @typedef {object} Series
  * @property {number[]} x hours
@@ -25,20 +25,32 @@ import { dataOf, makePlot, wholeOf } from "./plot.js";
  * @property {number | null} opened hour of the opened set
  * @property {string} subtitle
  * @property {number} endHour of the schedule
- * @property {{fields: string[], method: string, positions: string[]} | null} taken what of the API it shows
+ * @property {{fields: string[], method: string, positions: string[]} | null} exported data of the API that it shows
  *
  * @typedef {object} Host what all charts of the page share
- * @property {() => import("./gestures.js").Span | null} span null: the whole test
+ * @property {() => import("./gestures.js").Span | null} span null: the complete test
  * @property {(span: import("./gestures.js").Span | null, gesture?: boolean) => void} show
- * @property {() => import("../time.js").Timeline} timeline
+ * @property {() => import("../timeline.js").Timeline} timeline
  * @property {(position: string, setIndex: number) => void} open
  * @property {(id: string, shown: boolean) => void} table
- * @property {(hour: number, ask: boolean) => void} note somebody points at an hour, or wants to note something of it
+ * @property {(hour: number, ask: boolean) => void} note the pointer is at an hour, or the user annotates it
  */
 
-const LONGEST_TABLE = 500;
+const MAX_TABLE_ROWS = 500;
 /** @type {Series} */
-const NOTHING = { x: [], lines: [], name: "", unit: "", digits: 0, ranges: [], alarms: [], opened: null, subtitle: "", endHour: 1, taken: null };
+const NOTHING = {
+  x: [],
+  lines: [],
+  name: "",
+  unit: "",
+  digits: 0,
+  ranges: [],
+  alarms: [],
+  opened: null,
+  subtitle: "",
+  endHour: 1,
+  exported: null,
+};
 
 export class SolimonChart extends HTMLElement {
   constructor() {
@@ -51,7 +63,7 @@ export class SolimonChart extends HTMLElement {
     /** @type {any} */
     this.plot = null;
     this.detach = () => {};
-    /** What the plot was made for: lines, unit, axis. */
+    /** Lines, unit and axis that the plot was made for. */
     this.made = "";
     /** Index under the pointer or the keyboard's cursor, or -1. @type {number} */
     this.cursor = -1;
@@ -67,15 +79,15 @@ export class SolimonChart extends HTMLElement {
     this.legend = el("ul", { class: "legend" });
     this.toggle.addEventListener("click", () => this.host.table(this.id, this.tableBox.hidden));
     this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
-    /** Whether it is on the screen: elsewhere another span is drawn when it comes there; new data are at once. */
-    this.seen = true;
-    this.late = false;
+    /** Whether it is on the screen: off screen, another span is drawn when it gets there, new data at once. */
+    this.visible = true;
+    this.pending = false;
     new ResizeObserver(() => this.resize()).observe(this.canvasBox);
     new IntersectionObserver((entries) => {
-      this.seen = entries[entries.length - 1].isIntersecting;
-      if (this.seen) this.catchUp();
+      this.visible = entries[entries.length - 1].isIntersecting;
+      if (this.visible) this.drawPending();
     }).observe(this.canvasBox);
-    addEventListener("beforeprint", () => this.catchUp());
+    addEventListener("beforeprint", () => this.drawPending());
   }
 
   /** @param {ChartOptions} options @param {Host} host */
@@ -85,16 +97,24 @@ export class SolimonChart extends HTMLElement {
     this.heading.id = `${this.id}-title`;
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
-    this.actions.append(exportMenu(options.title, () => this.series.taken && chartOffer(this.series.taken, host.span())));
+    this.actions.append(
+      exportMenu(options.title, () => this.series.exported && chartOffer(this.series.exported, host.span())),
+    );
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     this.canvasBox.setAttribute("aria-label", `${options.title}. ${this.emptyText.textContent}`);
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", this.heading.id);
-    this.append(el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions), this.readout, this.canvasBox, this.tableBox, this.legend);
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions),
+      this.readout,
+      this.canvasBox,
+      this.tableBox,
+      this.legend,
+    );
   }
 
-  /** Name the feature that it shows now. @param {string} title */
-  entitle(title) {
+  /** Set the title to the feature that it shows now. @param {string} title */
+  setTitle(title) {
     this.options = { ...this.options, title };
     setText(this.heading, title);
   }
@@ -117,33 +137,56 @@ export class SolimonChart extends HTMLElement {
     setText(this.emptyText, this.options.empty);
     this.emptyText.hidden = series.x.length > 0;
     const last = series.x.length - 1;
-    this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set, n notes something. ${last >= 0 ? this.describe(last) : this.options.empty}`);
+    this.canvasBox.setAttribute(
+      "aria-label",
+      `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single ` +
+        "values, Enter opens the set, n notes something. " +
+        `${last >= 0 ? this.describe(last) : this.options.empty}`,
+    );
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
-    const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
+    const made = JSON.stringify([
+      series.name,
+      this.host.timeline().label,
+      series.lines.map((line) => [line.key, line.label, line.color]),
+    ]);
     if (made !== this.made) {
-      const outlier = series.lines.some((line) => line.outlier) ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")] : [];
-      this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points && !line.dash ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
+      const outlier = series.lines.some((line) => line.outlier)
+        ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")]
+        : [];
+      this.legend.replaceChildren(
+        ...series.lines.map((line) =>
+          el(
+            "li",
+            {},
+            swatch(line.color, line.points && !line.dash ? (line.shape ?? 0) : "line", line.dash),
+            line.label,
+          ),
+        ),
+        ...outlier,
+        el("li", {}, swatch("--alarm", "cross"), "bad"),
+        el("li", {}, swatch("--data", "ring"), "suspect"),
+      );
     }
-    // Last, when all around it has its size.
+    // Draw last, when all surrounding elements have their size.
     if (!series.x.length) this.destroy();
     else if (this.plot && made === this.made) {
       this.plot.setData(dataOf(series));
-      this.late = false;
+      this.pending = false;
     } else this.draw();
     this.made = made;
     if (!this.tableBox.hidden) this.fillTable();
   }
 
-  /** Show the span and the opened set of now. */
-  respan() {
-    if (!this.seen) this.late = true;
+  /** Show the current span and opened set. */
+  applySpan() {
+    if (!this.visible) this.pending = true;
     else if (this.plot) this.plot.setScale("x", this.plot.scales.x);
   }
 
-  /** Draw at once what nobody saw. */
-  catchUp() {
-    if (this.late && this.plot) this.plot.batch(() => this.plot.setData(dataOf(this.series)));
-    this.late = false;
+  /** Draw now what was postponed off screen. */
+  drawPending() {
+    if (this.pending && this.plot) this.plot.batch(() => this.plot.setData(dataOf(this.series)));
+    this.pending = false;
   }
 
   /** @param {number} index */
@@ -154,7 +197,8 @@ export class SolimonChart extends HTMLElement {
       const value = line.y[index];
       if (value !== null && value !== undefined) parts.push(`${line.short} ${this.number(value)}`);
       else if (line === lines[0]) parts.push(`${line.short} ${NONE}`);
-      if (line.quality?.[index] && (line === lines[0] || line.quality[index] !== "good")) parts.push(`quality ${line.quality[index]}`);
+      if (line.quality?.[index] && (line === lines[0] || line.quality[index] !== "good"))
+        parts.push(`quality ${line.quality[index]}`);
       if (line.outlier?.[index]) parts.push("outlier");
     }
     return parts.filter(Boolean).join(" · ");
@@ -175,34 +219,46 @@ export class SolimonChart extends HTMLElement {
     if (!this.plot || !this.series.x.length) return;
     const { x, lines } = this.series;
     const at = this.cursor < 0 ? x.length - 1 : this.cursor;
-    const whole = () => wholeOf(this.series);
-    const span = () => this.host.span() ?? whole();
-    if (onZoomKey(event, { span, whole, show: (to) => this.host.show(to, true), centre: () => x[at] })) return;
+    const full = () => fullSpan(this.series);
+    const span = () => this.host.span() ?? full();
+    if (onZoomKey(event, { span, full, show: (to) => this.host.show(to, true), center: () => x[at] })) return;
     if (event.key === "Enter" || event.key === "n") {
       event.preventDefault();
       if (event.key === "n") this.host.note(x[at], true);
       else this.open(lines[0], at);
       return;
     }
-    const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10, Home: -1e9, End: 1e9 });
+    const steps = /** @type {Record<string, number>} */ ({
+      ArrowLeft: -1,
+      ArrowRight: 1,
+      PageUp: -10,
+      PageDown: 10,
+      Home: -1e9,
+      End: 1e9,
+    });
     const step = steps[event.key];
     if (step === undefined) return;
     event.preventDefault();
     this.cursor = Math.max(0, Math.min(x.length - 1, at + step));
     const [from, to] = span();
-    const beyond = x[this.cursor] < from || x[this.cursor] > to;
-    if (beyond) this.host.show(within([x[this.cursor] - (to - from) / 2, x[this.cursor] + (to - from) / 2], whole()), true);
+    const outside = x[this.cursor] < from || x[this.cursor] > to;
+    if (outside)
+      this.host.show(within([x[this.cursor] - (to - from) / 2, x[this.cursor] + (to - from) / 2], full()), true);
     this.point(this.cursor);
   }
 
-  /** Put the cursor of all charts on a set. @param {number} index */
+  /** Move the cursor of all charts to a set. @param {number} index */
   point(index) {
     const { x, lines } = this.series;
     const value = lines[0].y[index];
-    this.plot.setCursor({ left: this.plot.valToPos(x[index], "x"), top: value === null ? 0 : this.plot.valToPos(value, "y") }, true, true);
+    this.plot.setCursor(
+      { left: this.plot.valToPos(x[index], "x"), top: value === null ? 0 : this.plot.valToPos(value, "y") },
+      true,
+      true,
+    );
   }
 
-  /** The set whose point is nearest to the pointer. @param {any} plot */
+  /** Open the set whose point is closest to the pointer. @param {any} plot */
   openNearest(plot) {
     const index = plot.cursor.idx;
     if (index === null || index === undefined) return;
@@ -223,30 +279,39 @@ export class SolimonChart extends HTMLElement {
 
   fillTable() {
     const { x, lines, unit } = this.series;
-    const shown = lines.filter((line) => line.tabled !== false);
     const head = el("tr", {}, el("th", { scope: "col", text: "Hour" }));
-    for (const line of shown) head.append(el("th", { scope: "col", text: `${line.label}${unit ? ` (${unit})` : ""}` }));
+    for (const line of lines) head.append(el("th", { scope: "col", text: `${line.label}${unit ? ` (${unit})` : ""}` }));
     const [first] = lines;
     if (first?.quality) head.append(el("th", { scope: "col", text: "Quality" }));
     const body = el("tbody");
     const [from, to] = this.host.span() ?? [-Infinity, Infinity];
     const rows = [...x.keys()].filter((k) => x[k] >= from && x[k] < to).reverse();
-    for (const k of rows.slice(0, LONGEST_TABLE)) {
-      const opens = el("button", { class: "link", type: "button", text: fixed(x[k], 1), "aria-label": `Open the set of hour ${fixed(x[k], 1)}` });
-      opens.addEventListener("click", () => this.open(first, k));
-      const row = el("tr", {}, el("td", {}, opens));
-      for (const line of shown) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
+    for (const k of rows.slice(0, MAX_TABLE_ROWS)) {
+      const openButton = el("button", {
+        class: "link",
+        type: "button",
+        text: fixed(x[k], 1),
+        "aria-label": `Open the set of hour ${fixed(x[k], 1)}`,
+      });
+      openButton.addEventListener("click", () => this.open(first, k));
+      const row = el("tr", {}, el("td", {}, openButton));
+      for (const line of lines) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
       if (first.quality) row.append(el("td", { text: first.quality[k] ?? NONE }));
       body.append(row);
     }
-    const caption = el("caption", { text: `${this.options.title}: ${rows.length > LONGEST_TABLE ? `the newest ${LONGEST_TABLE} of ` : ""}${rows.length} sets, newest first` });
+    const caption = el("caption", {
+      text:
+        `${this.options.title}: ` +
+        `${rows.length > MAX_TABLE_ROWS ? `the newest ${MAX_TABLE_ROWS} of ` : ""}${rows.length} sets, ` +
+        "newest first",
+    });
     this.tableBox.replaceChildren(el("table", {}, caption, el("thead", {}, head), body));
   }
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvasBox;
     if (this.plot && width && height) {
-      this.catchUp();
+      this.drawPending();
       this.plot.setSize({ width, height });
     } else if (!this.plot && this.series.x.length) this.draw();
   }
@@ -258,10 +323,10 @@ export class SolimonChart extends HTMLElement {
     this.detach = () => {};
   }
 
-  /** Draw anew, e.g. in the colours of another theme. */
+  /** Draw again, e.g. in the colors of another theme. */
   draw() {
     this.destroy();
-    this.late = false;
+    this.pending = false;
     if (!this.canvasBox.clientWidth || !this.canvasBox.clientHeight || !this.series.x.length) return;
     const handlers = {
       onCursor: (/** @type {number} */ index) => {
@@ -271,12 +336,18 @@ export class SolimonChart extends HTMLElement {
       },
       onClick: (/** @type {any} */ plot) => this.openNearest(plot),
     };
-    ({ plot: this.plot, detach: this.detach } = makePlot(this.canvasBox, this.options, this.host, () => this.series, handlers));
+    ({ plot: this.plot, detach: this.detach } = makePlot(
+      this.canvasBox,
+      this.options,
+      this.host,
+      () => this.series,
+      handlers,
+    ));
   }
 
-  /** What is drawn, for tests and for the curious; copies. */
+  /** Return copies of what is drawn, for tests and the console. */
   snapshot() {
-    this.catchUp();
+    this.drawPending();
     return {
       x: [...this.series.x],
       y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),

@@ -1,8 +1,8 @@
-// Features as people name them.
+// Label features for readers.
 
 const NOT_MEASURED = new Set(["due_h", "age_h", "limit_f", "limit_paper"]);
-/** Words of the features, where a name alone would be hard to read. @type {Record<string, string>} */
-const WORDS = {
+/** Labels of features whose names alone are hard to read. @type {Record<string, string>} */
+const LABELS = {
   tof_pp_s: "Time of flight, peak to peak",
   tof_ac_s: "Time of flight, autocorrelation",
   tof_mf_s: "Time of flight, matched filter",
@@ -30,4 +30,4 @@ const WORDS = {
 export const isFeature = (name) => !NOT_MEASURED.has(name);
 
 /** @param {string} name of a column @returns {string} */
-export const wordOf = (name) => WORDS[name] ?? name;
+export const featureLabel = (name) => LABELS[name] ?? name;

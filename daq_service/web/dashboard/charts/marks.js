@@ -1,13 +1,13 @@
-// What a chart draws beside its lines: points by quality, the baseline, holds, retirements, alarms, the opened set.
+// Draw the marks of a chart: points by quality, baseline, pauses, disabled sets, alarms and the opened set.
 
 import { color } from "../dom.js";
 
 const FONT = 'system-ui, "Liberation Sans", Arial, sans-serif';
 const TAU = 2 * Math.PI;
-/** Of notes that come so close after each other that their words would overlap; further ones stand in the table only. */
+/** Rows for annotations whose labels would overlap; further ones are only in the table. */
 const NOTE_ROWS = 3;
 
-/** @typedef {{from_h: number, to_h: number, word: string, tone: string}} Range */
+/** @typedef {{from_h: number, to_h: number, label: string, tone: string}} Range */
 /** @typedef {(path: Path2D, x: number, y: number, r: number) => void} Shape */
 
 /** @type {Shape} */
@@ -25,7 +25,7 @@ const polygon = (corners) => (path, x, y, r) => {
 };
 const diamond = polygon([0, -1.35, 1.35, 0, 0, 1.35, -1.35, 0]);
 
-/** Of the chosen position, then of those drawn over it. @type {Shape[]} */
+/** Shapes of the chosen position, then of those drawn over it. @type {Shape[]} */
 const SHAPES = [
   (path, x, y, r) => {
     path.moveTo(x + r, y);
@@ -43,13 +43,13 @@ export function clipped(u, draw) {
   ctx.beginPath();
   ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
   ctx.clip();
-  ctx.textAlign = "left"; // the axes leave their own
+  ctx.textAlign = "left"; // the axes change it
   draw(ctx);
   ctx.restore();
 }
 
 /**
- * Points of a line: filled where good, hollow where suspect, a cross where bad, a diamond beyond the limit.
+ * Draw the points of a line: filled if good, hollow if suspect, a cross if bad, a diamond if above the limit.
  *
  * @param {any} u @param {number[]} x @param {import("./series.js").Line} line
  */
@@ -57,13 +57,19 @@ export function drawPoints(u, x, line) {
   const [from, to] = u.series[0].idxs ?? [0, x.length - 1];
   const r = (to - from > 250 ? 1.9 : 2.5) * devicePixelRatio;
   const shape = SHAPES[(line.shape ?? 0) % SHAPES.length];
-  const paths = { good: new Path2D(), suspect: new Path2D(), bad: new Path2D(), outlier: new Path2D(), spread: new Path2D() };
+  const paths = {
+    good: new Path2D(),
+    suspect: new Path2D(),
+    bad: new Path2D(),
+    outlier: new Path2D(),
+    spread: new Path2D(),
+  };
   for (let k = from; k <= to; k++) {
     const value = line.y[k];
     const quality = line.quality?.[k];
     const px = u.valToPos(x[k], "x", true);
     if (value === null) {
-      // Nothing was measured, and that is said: a cross on the axis.
+      // A cross on the axis shows that nothing was measured.
       if (quality === "bad") cross(paths.bad, px, u.bbox.top + u.bbox.height - 2 * r, 1.4 * r);
       continue;
     }
@@ -73,7 +79,7 @@ export function drawPoints(u, x, line) {
       paths.spread.moveTo(px, u.valToPos(low, "y", true));
       paths.spread.lineTo(px, u.valToPos(high, "y", true));
     }
-    // The outlier of a bin is its greatest value, not its mean.
+    // The outlier of a bin is its maximum, not its mean.
     if (line.outlier?.[k]) diamond(paths.outlier, px, u.valToPos(high, "y", true), 1.25 * r);
     else if (quality === "bad") cross(paths.bad, px, py, 1.4 * r);
     else shape(quality === "suspect" ? paths.suspect : paths.good, px, py, r);
@@ -93,14 +99,19 @@ export function drawPoints(u, x, line) {
   });
 }
 
-/** Hours with a word at their top (the baseline, a hold, a retirement) or at their foot (a note). @param {any} u @param {Range[]} ranges */
+/**
+ * Draw hours with a label at the top (baseline, pause, disabled) or at the bottom (annotation).
+ *
+ * @param {any} u
+ * @param {Range[]} ranges
+ */
 export function drawRanges(u, ranges) {
   const { bbox } = u;
   const ratio = devicePixelRatio;
   clipped(u, (ctx) => {
     ctx.font = `${11 * ratio}px ${FONT}`;
     ctx.textBaseline = "top";
-    /** Where the last word of each row of notes ends. @type {number[]} */
+    /** End of the last label in each row of annotations. @type {number[]} */
     const rows = [];
     for (const range of ranges) {
       const left = u.valToPos(range.from_h, "x", true);
@@ -112,7 +123,7 @@ export function drawRanges(u, ranges) {
         ctx.fillStyle = color(`--${range.tone}`);
         ctx.fillRect(left, bbox.top, right - left, bbox.height);
       } else if (range.tone !== "good") {
-        // Edges, so that it is no matter of colour alone.
+        // Edges, so that color is not the only sign.
         ctx.strokeStyle = color(`--${range.tone}`);
         ctx.lineWidth = ratio;
         ctx.setLineDash([3 * ratio, 3 * ratio]);
@@ -122,26 +133,33 @@ export function drawRanges(u, ranges) {
       const note = range.tone === "note";
       const start = Math.max(left, bbox.left) + 4 * ratio;
       const ends = note ? bbox.left + bbox.width : Math.min(right, bbox.left + bbox.width);
-      const { width } = ctx.measureText(range.word);
+      const { width } = ctx.measureText(range.label);
       if (ends - start < width) continue;
       let row = 0;
       while (note && start < (rows[row] ?? 0)) row += 1;
       if (row === NOTE_ROWS) continue;
       if (note) rows[row] = start + width + 4 * ratio;
       ctx.fillStyle = color(`--${range.tone}`);
-      ctx.fillText(range.word, start, note ? bbox.top + bbox.height - (15 + 13 * row) * ratio : bbox.top + 4 * ratio);
+      ctx.fillText(range.label, start, note ? bbox.top + bbox.height - (15 + 13 * row) * ratio : bbox.top + 4 * ratio);
     }
   });
 }
 
-/** Alarms as small bells' places on top, and the opened set as a line. @param {any} u @param {number[]} alarms hours @param {number | null} opened hour */
+/**
+ * Draw alarms as triangles on top, and the opened set as a line.
+ *
+ * @param {any} u
+ * @param {number[]} alarms hours
+ * @param {number | null} opened hour
+ */
 export function drawMoments(u, alarms, opened) {
   const { bbox } = u;
   const ratio = devicePixelRatio;
   clipped(u, (ctx) => {
     ctx.fillStyle = color("--alarm");
     const path = new Path2D();
-    for (const hour of alarms) polygon([0, 1, 1, -0.8, -1, -0.8])(path, u.valToPos(hour, "x", true), bbox.top + 5 * ratio, 5 * ratio);
+    for (const hour of alarms)
+      polygon([0, 1, 1, -0.8, -1, -0.8])(path, u.valToPos(hour, "x", true), bbox.top + 5 * ratio, 5 * ratio);
     ctx.fill(path);
     if (opened === null) return;
     const px = u.valToPos(opened, "x", true);

@@ -1,4 +1,4 @@
-// The uPlot of one chart: axes, lines with their gaps, a cursor and a span that all charts share.
+// Build the uPlot of one chart: axes, lines with gaps, a cursor and a span that all charts share.
 
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { color } from "../dom.js";
@@ -6,19 +6,28 @@ import { attach } from "./gestures.js";
 import { drawMoments, drawPoints, drawRanges } from "./marks.js";
 import { missing } from "./series.js";
 
-/** @typedef {import("./chart.js").Series} Series @typedef {import("./chart.js").Host} Host @typedef {import("./gestures.js").Span} Span */
+/**
+ * @typedef {import("./chart.js").Series} Series
+ * @typedef {import("./chart.js").Host} Host
+ * @typedef {import("./gestures.js").Span} Span
+ */
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
 const CURSOR_KEY = "hours";
 const CLICK_PX = 5;
 
-/** Keeps the powers of ten of a logarithmic axis. @param {any} _u @param {number[]} splits */
+/** Keep the powers of ten of a logarithmic axis. @param {any} _u @param {number[]} splits */
 function decades(_u, splits) {
   return splits.map((v) => (Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-6 ? v : null));
 }
 
-/** The axis grows in steps, so that a new set does not move everything. @param {Series} series @returns {Span} */
-export function wholeOf({ x, endHour }) {
+/**
+ * Return the full span of the axis; it grows in steps, so that a new set does not move everything.
+ *
+ * @param {Series} series
+ * @returns {Span}
+ */
+export function fullSpan({ x, endHour }) {
   const max = x.length ? x[x.length - 1] : 1;
   const step = max <= 30 ? 6 : max <= 120 ? 24 : 50;
   return [0, Math.max(step, Math.min(Math.ceil((max * 1.02) / step) * step, Math.max(endHour, max)))];
@@ -32,20 +41,28 @@ function yRange(log, min, max) {
   return [min - pad, max + pad];
 }
 
-/** With the extremes of bins, which no line reaches. @param {any} u @param {import("./series.js").Line[]} lines @param {number | null} min @param {number | null} max @returns {[number | null, number | null]} */
+/**
+ * Extend the range of y to the extremes of bins, which no line reaches.
+ *
+ * @param {any} u
+ * @param {import("./series.js").Line[]} lines
+ * @param {number | null} min
+ * @param {number | null} max
+ * @returns {[number | null, number | null]}
+ */
 function extremes(u, lines, min, max) {
   const [from, to] = u.series[0].idxs ?? [0, -1];
   for (const { low, high } of lines) {
     for (let k = from; low && high && k <= to; k++) {
-      const [least, most] = [low[k], high[k]];
-      if (least !== null && least !== undefined) min = Math.min(min ?? least, least);
-      if (most !== null && most !== undefined) max = Math.max(max ?? most, most);
+      const [lowest, highest] = [low[k], high[k]];
+      if (lowest !== null && lowest !== undefined) min = Math.min(min ?? lowest, lowest);
+      if (highest !== null && highest !== undefined) max = Math.max(max ?? highest, highest);
     }
   }
   return [min, max];
 }
 
-/** How axes look, in the colours of now. */
+/** Return the style of axes in the current colors. */
 export function axisLook() {
   const grid = { stroke: color("--grid"), width: 1 };
   return { stroke: color("--quiet"), font: FONT, labelFont: FONT, grid, ticks: { ...grid, size: 4 }, labelGap: 2 };
@@ -54,19 +71,34 @@ export function axisLook() {
 /** @param {import("./series.js").Line} line @param {() => Series} series */
 function lineOptions(line, series) {
   const stroke = color(line.color);
-  const gaps = (/** @type {any} */ u, /** @type {number} */ index, /** @type {number} */ from, /** @type {number} */ to, /** @type {[number, number][]} */ found) => {
+  const gaps = (
+    /** @type {any} */ u,
+    /** @type {number} */ index,
+    /** @type {number} */ from,
+    /** @type {number} */ to,
+    /** @type {[number, number][]} */ found,
+  ) => {
     const { x, lines } = series();
-    const its = lines[index - 1];
-    // A plot that was replaced by one of fewer lines may still draw what it had queued.
-    if (!its?.firsts) return found;
+    const drawnLine = lines[index - 1];
+    // A plot that was replaced by one with fewer lines may still draw its queue.
+    if (!drawnLine?.firstSets) return found;
     const all = [...found];
-    for (let k = from + 1; k <= to; k++) if (missing(its, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
+    for (let k = from + 1; k <= to; k++)
+      if (missing(drawnLine, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
     return all.sort((a, b) => a[0] - b[0]);
   };
-  // Points speak, and are drawn by their quality (marks.js); the line only leads from one to the next, but for
-  // another test's, which is dashed.
+  // Points carry the data and are drawn by quality (marks.js); the line only connects them, except for
+  // another test, whose line is dashed.
   const leads = line.points && !line.dash;
-  return { label: line.label, stroke: leads ? `${stroke}4d` : stroke, width: leads ? 1 : 2, dash: line.dash, points: { show: false }, spanGaps: false, gaps };
+  return {
+    label: line.label,
+    stroke: leads ? `${stroke}4d` : stroke,
+    width: leads ? 1 : 2,
+    dash: line.dash,
+    points: { show: false },
+    spanGaps: false,
+    gaps,
+  };
 }
 
 /**
@@ -79,8 +111,8 @@ function lineOptions(line, series) {
 export function makePlot(box, options, host, series, handlers) {
   const axis = axisLook();
   const log = Boolean(options.log);
-  const whole = () => wholeOf(series());
-  const span = () => host.span() ?? whole();
+  const full = () => fullSpan(series());
+  const span = () => host.span() ?? full();
   const timeline = host.timeline();
   const dates = timeline.axis !== "hours";
   let pressed = 0;
@@ -95,11 +127,19 @@ export function makePlot(box, options, host, series, handlers) {
         drag: { x: true, y: false, setScale: false },
         points: { show: false },
         focus: { prox: -1 },
-        sync: { key: CURSOR_KEY, scales: ["x", null], filters: { pub: (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave" } },
+        sync: {
+          key: CURSOR_KEY,
+          scales: ["x", null],
+          filters: { pub: (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave" },
+        },
       },
       scales: {
         x: { time: false, range: span },
-        y: { distr: log ? 3 : 1, range: (/** @type {any} */ u, /** @type {number | null} */ min, /** @type {number | null} */ max) => yRange(log, ...extremes(u, series().lines, min, max)) },
+        y: {
+          distr: log ? 3 : 1,
+          range: (/** @type {any} */ u, /** @type {number | null} */ min, /** @type {number | null} */ max) =>
+            yRange(log, ...extremes(u, series().lines, min, max)),
+        },
       },
       axes: [
         {
@@ -109,7 +149,8 @@ export function makePlot(box, options, host, series, handlers) {
           labelSize: 20,
           ...(dates
             ? {
-                splits: (/** @type {any} */ u) => timeline.splits(u.scales.x.min, u.scales.x.max, u.bbox.width / devicePixelRatio),
+                splits: (/** @type {any} */ u) =>
+                  timeline.splits(u.scales.x.min, u.scales.x.max, u.bbox.width / devicePixelRatio),
                 values: (/** @type {any} */ _u, /** @type {number[]} */ splits) => timeline.values(splits),
               }
             : {}),
@@ -124,7 +165,8 @@ export function makePlot(box, options, host, series, handlers) {
                 filter: decades,
                 grid: { ...axis.grid, filter: decades },
                 ticks: { ...axis.ticks, filter: decades },
-                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) => splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
+                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) =>
+                  splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
               }
             : {}),
         },
@@ -154,13 +196,18 @@ export function makePlot(box, options, host, series, handlers) {
     box,
   );
   const over = /** @type {HTMLElement} */ (plot.over);
-  const detach = attach(over, { span, whole, show: (to) => host.show(to, true), centre: () => (span()[0] + span()[1]) / 2 });
+  const detach = attach(over, {
+    span,
+    full,
+    show: (to) => host.show(to, true),
+    center: () => (span()[0] + span()[1]) / 2,
+  });
   over.addEventListener("mousedown", (event) => void (pressed = event.clientX));
   over.addEventListener("click", (event) => Math.abs(event.clientX - pressed) < CLICK_PX && handlers.onClick(plot));
   return { plot, detach };
 }
 
-/** The drawn arrays, for uPlot. @param {Series} series */
+/** Return the drawn arrays for uPlot. @param {Series} series */
 export function dataOf({ x, lines }) {
   return /** @type {any} */ ([x, ...lines.map((line) => line.y)]);
 }

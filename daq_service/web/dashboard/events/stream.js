@@ -1,16 +1,19 @@
-// The events of the service, for this page: from the worker that all tabs share, else by its own connection.
+// Deliver the service's events to this page: from the worker that all tabs share, else by its own connection.
 
 import { BASE } from "../api.js";
 import { HEARTBEAT_S, Source } from "./source.js";
-import { Watch } from "./watch.js";
+import { HeartbeatMonitor } from "./heartbeat.js";
 
-/** Changes when what is said between page and worker does: a tab of an older version keeps its own. */
+/** Changes with the messages between page and worker: a tab of an older version keeps its own worker. */
 const NAME = "solimon-events-3";
-/** Heartbeats without a word of the worker, which notices a frozen connection before that. */
-const MISSED = 3;
+/** Missed heartbeats before the worker counts as silent; it detects a frozen connection sooner. */
+const MISSED_BEATS = 3;
 
 export class EventStream {
-  /** @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers */
+  /**
+   * @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}}
+   *   handlers
+   */
   constructor(handlers) {
     this.handlers = handlers;
     this.lastId = -1;
@@ -18,17 +21,17 @@ export class EventStream {
     /** @type {MessagePort | null} */
     this.port = null;
     /** @type {Source | null} */
-    this.own = null;
-    this.watch = new Watch(HEARTBEAT_S, () => this.renew());
+    this.direct = null;
+    this.monitor = new HeartbeatMonitor(HEARTBEAT_S, () => this.reconnect());
     addEventListener("pagehide", () => this.port?.postMessage({ leave: true }));
-    // A page that the browser kept aside comes back: what happened meanwhile is asked for.
+    // The browser shows a cached page again: ask for the events since then.
     addEventListener("pageshow", (event) => event.persisted && this.join());
-    // Each of several tests has a connection of its own: hidden pages leave theirs to those that are looked at.
+    // Each of several tests has its own connection: hidden pages release theirs for visible ones.
     document.addEventListener("visibilitychange", () => {
       this.port?.postMessage({ awake: this.awake });
-      this.own?.wake(this.awake);
-      if (!this.awake) this.watch.rest();
-      else if (this.port) this.watch.alive(0, MISSED);
+      this.direct?.wake(this.awake);
+      if (!this.awake) this.monitor.stop();
+      else if (this.port) this.monitor.beat(0, MISSED_BEATS);
     });
   }
 
@@ -38,7 +41,7 @@ export class EventStream {
 
   join() {
     if (this.port === null) return;
-    this.watch.alive(0, MISSED);
+    this.monitor.beat(0, MISSED_BEATS);
     this.port.postMessage({ after: this.lastId, base: BASE, awake: this.awake });
   }
 
@@ -47,44 +50,51 @@ export class EventStream {
     this.lastId = after;
     if (this.started) return;
     this.started = true;
-    if (typeof SharedWorker === "undefined") return this.openOwn();
+    if (typeof SharedWorker === "undefined") return this.openDirect();
     this.openShared();
   }
 
   openShared() {
-    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: `${NAME} ${BASE}` });
-    // A browser that cannot run it says so here.
-    worker.onerror = () => this.port !== null && ((this.port = null), this.watch.rest(), this.openOwn());
+    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), {
+      type: "module",
+      name: `${NAME} ${BASE}`,
+    });
+    // A browser that cannot run the worker reports it here.
+    worker.onerror = () => this.port !== null && ((this.port = null), this.monitor.stop(), this.openDirect());
     this.port = worker.port;
     this.port.onmessage = ({ data }) => {
-      this.watch.alive(data.intervalS, MISSED);
-      if (data.news) this.hear(data.news);
-      else if (data.gap !== undefined) this.miss(data.gap);
+      this.monitor.beat(data.intervalS, MISSED_BEATS);
+      if (data.news) this.deliver(data.news);
+      else if (data.gap !== undefined) this.skip(data.gap);
       else this.handlers.onState(data.open);
     };
     this.join();
   }
 
-  /** Leave a worker that is silent for one that is asked for again: the same if it lives. */
-  renew() {
+  /** Leave a silent worker and connect again, to the same one if it still runs. */
+  reconnect() {
     this.handlers.onState(false);
     this.port?.postMessage({ leave: true });
     this.openShared();
   }
 
-  openOwn() {
-    this.own = new Source(this.lastId, { onNews: (news) => this.hear(news), onGap: (id) => this.miss(id), onState: this.handlers.onState }, BASE);
+  openDirect() {
+    this.direct = new Source(
+      this.lastId,
+      { onEvent: (news) => this.deliver(news), onGap: (id) => this.skip(id), onState: this.handlers.onState },
+      BASE,
+    );
   }
 
-  /** @param {import("./source.js").News} news */
-  hear({ topic, id, event }) {
+  /** @param {import("./source.js").StreamEvent} news */
+  deliver({ topic, id, event }) {
     if (id <= this.lastId) return;
     this.lastId = id;
     this.handlers.onEvent(topic, event);
   }
 
   /** @param {number} id */
-  miss(id) {
+  skip(id) {
     this.lastId = id;
     this.handlers.onGap();
   }

@@ -1,45 +1,49 @@
-// Shared by all tabs of a browser that show the same test: one connection for them together, since a browser opens no more than
-// six to a service and the tabs beyond would wait for ever.
+// One connection, shared by all tabs of a browser that show the same test: a browser opens at most
+// six to a service, and further tabs would never get one.
 
 import { Source } from "./source.js";
 
-const KEPT = 2000;
+const MAX_KEPT = 2000;
 
-/** Who listens, and whether somebody looks at it. @type {Map<MessagePort, boolean>} */
+/** Pages that listen, and whether each is visible. @type {Map<MessagePort, boolean>} */
 const ports = new Map();
-/** News for a tab that comes later: all ids above `since`. @type {import("./source.js").News[]} */
+/** Events for a tab that connects later: all ids above `keptAfter`. @type {import("./source.js").StreamEvent[]} */
 let kept = [];
-let since = 0;
+let keptAfter = 0;
 /** @type {Source | null} */
 let source = null;
 
 /** @param {object} message */
-function tell(message) {
+function broadcast(message) {
   for (const port of ports.keys()) port.postMessage(message);
 }
 
-/** @param {MessagePort} port @param {number} after @param {string} base where the test is */
+/** @param {MessagePort} port @param {number} after @param {string} base path of the test */
 function join(port, after, base) {
   if (source === null) {
-    since = after;
-    source = new Source(after, {
-      onNews: (news) => {
-        kept.push(news);
-        if (kept.length > KEPT) since = kept.splice(0, KEPT / 2).at(-1)?.id ?? since;
-        tell({ news });
+    keptAfter = after;
+    source = new Source(
+      after,
+      {
+        onEvent: (news) => {
+          kept.push(news);
+          if (kept.length > MAX_KEPT) keptAfter = kept.splice(0, MAX_KEPT / 2).at(-1)?.id ?? keptAfter;
+          broadcast({ news });
+        },
+        onGap: (id) => {
+          kept = [];
+          keptAfter = id;
+          broadcast({ gap: id });
+        },
+        onState: (open) => broadcast({ open, intervalS: source?.monitor.intervalS }),
       },
-      onGap: (id) => {
-        kept = [];
-        since = id;
-        tell({ gap: id });
-      },
-      onState: (open) => tell({ open, intervalS: source?.watch.intervalS }),
-    }, base);
+      base,
+    );
     return;
   }
-  // After a sleep of the computer: what was open may be dead.
-  source.watch.look();
-  if (after < since) port.postMessage({ gap: source.lastId });
+  // After a sleep of the computer an open connection may be dead.
+  source.monitor.check();
+  if (after < keptAfter) port.postMessage({ gap: source.lastId });
   else for (const news of kept) if (news.id > after) port.postMessage({ news });
   port.postMessage({ open: source.isOpen });
 }

@@ -1,12 +1,12 @@
-// What a set says in numbers: features and their share of D², single shots, climate, and where it all comes from.
+// Show a set in numbers: features and their contribution to D², single shots, climate and provenance.
 
 import { el } from "../dom.js";
-import { isFeature, wordOf } from "../charts/features.js";
+import { isFeature, featureLabel } from "../charts/features.js";
 import { shownUnit } from "../charts/series.js";
-import { causeOf, limitOf } from "../limit.js";
+import { diagnosisText, limitOf } from "../assessment.js";
 import { NONE, fixed, hour, quantity, significant, utc } from "../format.js";
 
-/** @typedef {import("./evidence.js").Evidence} Evidence */
+/** @typedef {import("./data.js").SetData} SetData */
 
 /** @param {string} name @param {number | null | undefined} value @param {Record<string, string>} units of /trends */
 function shown(name, value, units) {
@@ -14,105 +14,186 @@ function shown(name, value, units) {
   return quantity(value, factor, digits, unit);
 }
 
-/** @param {string} title @param {...Element} parts */
-function part(title, ...parts) {
-  return el("section", { class: "fact" }, el("h3", { text: title }), ...parts);
+/** @param {string} title @param {...Element} contributions */
+function section(title, ...contributions) {
+  return el("section", { class: "fact" }, el("h3", { text: title }), ...contributions);
 }
 
 /** @param {[string, string][]} values */
 function list(values) {
-  return el("dl", { class: "readouts" }, ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+  return el(
+    "dl",
+    { class: "readouts" },
+    ...values.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))),
+  );
 }
 
 /** @param {string} caption @param {string[]} head @param {HTMLElement[]} rows */
 function table(caption, head, rows) {
   const wrap = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": caption });
-  wrap.append(el("table", {}, el("caption", { text: caption }), el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col", text })))), el("tbody", {}, ...rows)));
+  wrap.append(
+    el(
+      "table",
+      {},
+      el("caption", { text: caption }),
+      el("thead", {}, el("tr", {}, ...head.map((text) => el("th", { scope: "col", text })))),
+      el("tbody", {}, ...rows),
+    ),
+  );
   return wrap;
 }
 
-/** @param {number | null} share of the whole, by size @param {string} text */
+/** @param {number | null} share of the total, by magnitude @param {string} text */
 function bar(share, text) {
   const filled = el("span", { class: "bar", "aria-hidden": "true" });
   filled.style.width = `${100 * Math.min(1, Math.abs(share ?? 0))}%`;
   return el("td", { class: "share" }, filled, el("span", { text }));
 }
 
-/** @param {Evidence} evidence @param {Record<string, string>} units */
-export function features({ feature, verdict }, units) {
-  if (feature === null) return part("Features", el("p", { class: "quiet small", text: "No feature: the set gave too few valid records." }));
-  const parts = verdict?.contributions ?? {};
-  const all = Object.values(parts).reduce((sum, value) => sum + Math.abs(value ?? 0), 0);
+/** @param {SetData} data @param {Record<string, string>} units */
+export function features({ feature, assessment }, units) {
+  if (feature === null)
+    return section(
+      "Features",
+      el("p", { class: "quiet small", text: "No feature: the set gave too few valid records." }),
+    );
+  const contributions = assessment?.contributions ?? {};
+  const total = Object.values(contributions).reduce((sum, value) => sum + Math.abs(value ?? 0), 0);
   const rows = Object.keys(units)
     .filter((name) => isFeature(name) && name in feature)
     .map((name) => {
-      const value = parts[name];
-      const given = value !== undefined && value !== null;
-      return el("tr", {}, el("td", { text: wordOf(name) }), el("td", { text: shown(name, feature[name], units) }), given ? bar(all ? value / all : 0, significant(value)) : el("td", { text: "" }));
+      const value = contributions[name];
+      const known = value !== undefined && value !== null;
+      return el(
+        "tr",
+        {},
+        el("td", { text: featureLabel(name) }),
+        el("td", { text: shown(name, feature[name], units) }),
+        known ? bar(total ? value / total : 0, significant(value)) : el("td", { text: "" }),
+      );
     });
-  const caption = `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, quality ${feature.quality}; the last column is each feature's part of D²`;
-  return part("Features", table(caption, ["Feature", "Value", "Part of D²"], rows));
+  const caption =
+    `${feature.n_valid === undefined ? "Of the record" : `Mean of ${feature.n_valid} valid shots`}, ` +
+    `quality ${feature.quality}; the last column is each feature's part of D²`;
+  return section("Features", table(caption, ["Feature", "Value", "Part of D²"], rows));
 }
 
-/** @param {Evidence} evidence @param {any} limits of /info */
-export function distance({ verdict }, limits) {
-  if (verdict === null) return part("Distance", el("p", { class: "quiet small", text: "Not judged." }));
-  const limit = limitOf(verdict);
-  const word = verdict.in_baseline ? "part of the baseline" : verdict.outlier === null ? (verdict.reason ?? "not judged") : verdict.outlier ? "beyond the limit: outlier" : "within the limit";
-  return part(
+/** @param {SetData} data @param {any} limits of /info */
+export function distance({ assessment }, limits) {
+  if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not judged." }));
+  const { cause_told: diagnosis } = assessment;
+  const limit = limitOf(assessment);
+  const limitNames = /** @type {Record<string, string>} */ ({
+    paper_mean_3sd: "paper's mean + 3 SD",
+    f_predictive: `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms`,
+  });
+  const limitName = limitNames[assessment.limit_name] ?? assessment.limit_name;
+  const result = assessment.in_baseline
+    ? "part of the baseline"
+    : assessment.outlier === null
+      ? (assessment.reason ?? "not judged")
+      : assessment.outlier
+        ? "beyond the limit: outlier"
+        : "within the limit";
+  return section(
     "Distance",
     list([
-      ["D²", significant(verdict.distance_squared)],
-      ["Limit of outliers", `${significant(limit)} (${verdict.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : verdict.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : verdict.limit_name})`],
-      ["Times the limit", limit && verdict.distance_squared !== null ? significant(verdict.distance_squared / limit) : NONE],
-      ["Verdict", word],
-      .../** @type {[string, string][]} */ (verdict.cause ? [["Cause", causeOf(verdict)], ["What is seen", verdict.cause_told.sentence], ["What to do", verdict.cause_told.action]] : []),
+      ["D²", significant(assessment.distance_squared)],
+      ["Limit of outliers", `${significant(limit)} (${limitName})`],
+      [
+        "Times the limit",
+        limit && assessment.distance_squared !== null ? significant(assessment.distance_squared / limit) : NONE,
+      ],
+      ["Verdict", result],
+      .../** @type {[string, string][]} */ (
+        assessment.cause
+          ? [
+              ["Cause", diagnosisText(assessment)],
+              ["What is seen", diagnosis.sentence],
+              ["What to do", diagnosis.action],
+            ]
+          : []
+      ),
     ]),
-    ...(verdict.limits ? [named(verdict, limits.named)] : []),
+    ...(assessment.limits ? [limitTable(assessment, limits.named)] : []),
   );
 }
 
-/** Every limit that the service has, beside what it bounds. @param {any} verdict @param {any[]} all of /info */
-function named(verdict, all) {
+/**
+ * List all limits of the service with the values that they bound.
+ *
+ * @param {any} assessment
+ * @param {any[]} limits of /info
+ */
+function limitTable(assessment, limits) {
   /** @type {Record<string, number | null>} */
-  const values = { ...verdict.statistics, distance_squared: verdict.distance_squared, chart: verdict.chart };
-  const rows = all
-    .filter(({ name }) => name in verdict.limits)
-    .map(({ name, words, of }) => {
+  const values = { ...assessment.statistics, distance_squared: assessment.distance_squared, chart: assessment.chart };
+  const rows = limits
+    .filter(({ name }) => name in assessment.limits)
+    .map(({ name, words: description, of }) => {
       const value = values[of] ?? null;
-      const limit = verdict.limits[name];
-      return el("tr", {}, el("td", { text: name, title: words }), el("td", { text: significant(limit) }), el("td", { text: significant(value) }), el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }));
+      const limit = assessment.limits[name];
+      return el(
+        "tr",
+        {},
+        el("td", { text: name, title: description }),
+        el("td", { text: significant(limit) }),
+        el("td", { text: significant(value) }),
+        el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }),
+      );
     });
   return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", "Verdict"], rows);
 }
 
 /**
- * @param {Evidence} evidence @param {Record<string, string>} units
+ * @param {SetData} data @param {Record<string, string>} units
  * @param {number | null} chosen @param {(shot: number | null) => void} choose
  */
-export function shots({ shots: all, ofShots }, units, chosen, choose) {
-  if (!all.length) return null;
-  const featureOf = new Map(ofShots.map((one) => [one.sequence, one]));
+export function shots({ shots: rows, shotFeatures }, units, chosen, choose) {
+  if (!rows.length) return null;
+  const featureOf = new Map(shotFeatures.map((one) => [one.sequence, one]));
   const columns = ["tof_pp_s", "amplitude_ratio", "isw_amplitude_v"].filter((name) => name in units);
-  const rows = all.map((shot) => {
+  const cells = rows.map((shot) => {
     const found = featureOf.get(shot.sequence);
     const accepted = shot.outcome === "accepted";
     const pressed = accepted && chosen === shot.shot_index;
-    const button = el("button", { class: "link", type: "button", disabled: !accepted, "aria-pressed": String(pressed), "data-shot": String(shot.shot_index), text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}` });
+    const button = el("button", {
+      class: "link",
+      type: "button",
+      disabled: !accepted,
+      "aria-pressed": String(pressed),
+      "data-shot": String(shot.shot_index),
+      text: `${shot.shot_index + 1}${shot.attempt ? `, attempt ${shot.attempt + 1}` : ""}`,
+    });
     button.addEventListener("click", () => choose(pressed ? null : shot.shot_index));
-    const row = el("tr", {}, el("td", {}, button), el("td", { text: `${found?.quality ?? (shot.valid ? "valid" : "not valid")}${accepted ? "" : ", repeated"}` }), el("td", { text: shot.flags.join(", ") || "none" }));
+    const row = el(
+      "tr",
+      {},
+      el("td", {}, button),
+      el("td", { text: `${found?.quality ?? (shot.valid ? "valid" : "not valid")}${accepted ? "" : ", repeated"}` }),
+      el("td", { text: shot.flags.join(", ") || "none" }),
+    );
     for (const name of columns) row.append(el("td", { text: shown(name, found?.[name], units) }));
     row.append(el("td", { text: String(shot.sequence) }));
     return row;
   });
-  return part("Shots", table("A shot's number emphasises its record", ["Shot", "Quality", "Flags", ...columns.map(wordOf), "Sequence"], rows));
+  return section(
+    "Shots",
+    table(
+      "A shot's number emphasises its record",
+      ["Shot", "Quality", "Flags", ...columns.map(featureLabel), "Sequence"],
+      cells,
+    ),
+  );
 }
 
-/** @param {Evidence} evidence */
+/** @param {SetData} data */
 export function climate({ environment: row }) {
-  if (row === null) return part("Climate and supply", el("p", { class: "quiet small", text: "Nothing was read around this set." }));
-  const age = (/** @type {string} */ quality, /** @type {number | null} */ age_s) => (quality === "absent" ? "absent" : `${quality}${age_s === null ? "" : `, read ${fixed(age_s, 0)} s before`}`);
-  return part(
+  if (row === null)
+    return section("Climate and supply", el("p", { class: "quiet small", text: "Nothing was read around this set." }));
+  const age = (/** @type {string} */ quality, /** @type {number | null} */ age_s) =>
+    quality === "absent" ? "absent" : `${quality}${age_s === null ? "" : `, read ${fixed(age_s, 0)} s before`}`;
+  return section(
     "Climate and supply",
     list([
       ["Temperature", quantity(row.temperature_c, 1, 1, "°C")],
@@ -125,23 +206,31 @@ export function climate({ environment: row }) {
   );
 }
 
-/** @param {Evidence} evidence @param {any} info */
-export function provenance({ set, feature, verdict, baseline }, info) {
+/** @param {SetData} data @param {any} info */
+export function provenance({ set, feature, assessment, baseline }, info) {
   if (set === null) return null;
+  const sets = baseline && `sets ${baseline.first_set_index} to ${baseline.last_set_index}`;
+  const baselineText = baseline && ` (${baseline.name}, ${sets}, approval ${baseline.approval})`;
   const identity = Object.entries(info.rig_identity).map(([name, value]) => `${name} ${value}`);
-  const serial = info.positions.find((/** @type {any} */ place) => place.position === set.position)?.serial_number;
-  return part(
+  const serial = info.positions.find(
+    (/** @type {any} */ positionInfo) => positionInfo.position === set.position,
+  )?.serial_number;
+  return section(
     "Provenance",
     list([
       ["File", set.file ?? NONE],
       ["Its SHA-256", set.file_sha256 ? `${set.file_sha256.slice(0, 16)}…` : NONE],
       ["Recorded", `${utc(set.started_utc)} to ${utc(set.ended_utc)}`],
       ["Age", `${hour(set.age_h)} h`],
-      ["Records", `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned${set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""}`],
+      [
+        "Records",
+        `${set.n_valid} valid of ${set.n_taken} taken, ${set.n_planned} planned` +
+          (set.n_restrikes ? `, ${set.n_restrikes} repeated` : ""),
+      ],
       ["Rig", [info.rig_label, ...identity].join(", ")],
       ["Transducer", serial ?? NONE],
       ["Extractor", feature?.extractor_version ?? NONE],
-      ["Baseline", verdict?.baseline_id == null ? NONE : `${verdict.baseline_id}${baseline ? ` (${baseline.name}, sets ${baseline.first_set_index} to ${baseline.last_set_index}, approval ${baseline.approval})` : ""}`],
+      ["Baseline", assessment?.baseline_id == null ? NONE : `${assessment.baseline_id}${baselineText ?? ""}`],
       ["Configuration", info.configuration_hash.slice(0, 16)],
     ]),
   );

@@ -1,4 +1,4 @@
-// The records of a set over one another: each shot thin, their mean, the baseline's as a ghost, marks and windows.
+// Plot the waveforms of a set: each shot thin, their mean, the baseline as a ghost, marks and windows.
 
 import uPlot from "../vendor/uplot/uPlot.esm.js";
 import { attach } from "../charts/gestures.js";
@@ -20,7 +20,7 @@ import { drawPulses } from "../pulses.js";
  * @property {Float64Array} micros
  * @property {Trace[]} traces the last one on top
  * @property {import("../pulses.js").Mark[]} marks
- * @property {Record<string, [number, number]>} windows_s by name; of no width: a moment
+ * @property {Record<string, [number, number]>} windows_s by name; zero width: an instant
  *
  * @typedef {object} Span
  * @property {() => import("../charts/gestures.js").Span | null} span in µs
@@ -43,7 +43,10 @@ function drawWindows(u, windows) {
       ctx.fillStyle = color("--good");
       ctx.fillRect(left, top, width, 1.5 * ratio);
       const text = to > from ? `${name} window` : `${name} belongs here`;
-      const start = Math.min(Math.max(left, bbox.left), bbox.left + bbox.width - ctx.measureText(text).width - 4 * ratio);
+      const start = Math.min(
+        Math.max(left, bbox.left),
+        bbox.left + bbox.width - ctx.measureText(text).width - 4 * ratio,
+      );
       ctx.fillText(text, start + 3 * ratio, top + 3 * ratio);
     });
   });
@@ -53,11 +56,11 @@ function drawWindows(u, windows) {
  * @param {HTMLElement} box @param {Overlay} overlay @param {Span} host
  * @param {(index: number) => void} onCursor
  */
-export function plotRecords(box, overlay, host, onCursor) {
+export function plotWaveforms(box, overlay, host, onCursor) {
   const { micros, traces, marks, windows_s } = overlay;
   const axis = axisLook();
-  const whole = () => /** @type {import("../charts/gestures.js").Span} */ ([micros[0], micros[micros.length - 1]]);
-  const span = () => host.span() ?? whole();
+  const full = () => /** @type {import("../charts/gestures.js").Span} */ ([micros[0], micros[micros.length - 1]]);
+  const span = () => host.span() ?? full();
   const plot = new uPlot(
     /** @type {any} */ ({
       width: box.clientWidth,
@@ -67,13 +70,27 @@ export function plotRecords(box, overlay, host, onCursor) {
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: {
         x: { time: false, range: span },
-        y: { range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => [min - Math.max(0.08 * (max - min), 1e-3), max + Math.max(0.12 * (max - min), 1e-3)] },
+        y: {
+          range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => [
+            min - Math.max(0.08 * (max - min), 1e-3),
+            max + Math.max(0.12 * (max - min), 1e-3),
+          ],
+        },
       },
       axes: [
         { ...axis, label: "Time from the trigger (µs)", size: 26, labelSize: 20 },
         { ...axis, label: "Sensor voltage (V)", size: 52, labelSize: 18 },
       ],
-      series: [{}, ...traces.map((trace) => ({ label: trace.label, stroke: `${color(trace.color)}${trace.faint ? "70" : ""}`, width: trace.width, dash: trace.dash, points: { show: false } }))],
+      series: [
+        {},
+        ...traces.map((trace) => ({
+          label: trace.label,
+          stroke: `${color(trace.color)}${trace.faint ? "70" : ""}`,
+          width: trace.width,
+          dash: trace.dash,
+          points: { show: false },
+        })),
+      ],
       hooks: {
         drawClear: [(/** @type {any} */ u) => drawWindows(u, windows_s)],
         draw: [(/** @type {any} */ u) => drawPulses(u, marks)],
@@ -91,6 +108,6 @@ export function plotRecords(box, overlay, host, onCursor) {
     /** @type {any} */ ([micros, ...traces.map((trace) => trace.volts)]),
     box,
   );
-  const zoomable = { span, whole, show: host.show, centre: () => (span()[0] + span()[1]) / 2 };
+  const zoomable = { span, full, show: host.show, center: () => (span()[0] + span()[1]) / 2 };
   return { plot, zoomable, detach: attach(plot.over, zoomable) };
 }

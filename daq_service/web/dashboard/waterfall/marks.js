@@ -1,4 +1,4 @@
-// What is drawn of sets beside their samples: where their pulses were found, and which of them are bad.
+// Mark sets on the waterfall: where their pulses were found, and which of them are bad.
 
 /** @typedef {{field: string, label: string, color: string, dash: number[]}} Track */
 
@@ -11,12 +11,17 @@ const TRACKS = /** @type {Record<string, Track[]>} */ ({
   pulse_echo: [{ field: "travel_time_s", label: "first echo", color: "--ink", dash: [] }],
 });
 
-/** Columns of /trends that the tracks are made of. @param {string} method @returns {string[]} */
+/** Return the columns of /trends that the tracks need. @param {string} method @returns {string[]} */
 export function fieldsOf(method) {
   return TRACKS[method].map(({ field }) => field);
 }
 
-/** Tracks in the picture's own time; a pulse that was never found has none. @param {any} header @param {Record<string, any[]>} columns */
+/**
+ * Return the tracks in the time of the image; a pulse that was never found has none.
+ *
+ * @param {any} header
+ * @param {Record<string, any[]>} columns
+ */
 export function tracksOf({ method, align }, columns) {
   const [{ field: anchor }] = TRACKS[method];
   const from = (/** @type {number} */ k) => (align === "trigger" ? 0 : columns[anchor][k]);
@@ -25,11 +30,13 @@ export function tracksOf({ method, align }, columns) {
     .map((track) => ({
       ...track,
       hours: columns.due_h,
-      seconds: columns[track.field].map((/** @type {number | null} */ time, /** @type {number} */ k) => (time === null || from(k) === null ? null : time - from(k))),
+      seconds: columns[track.field].map((/** @type {number | null} */ time, /** @type {number} */ k) =>
+        time === null || from(k) === null ? null : time - from(k),
+      ),
     }));
 }
 
-/** Hours of bad sets. @param {Record<string, any[]>} columns @returns {number[]} */
+/** Return the hours of bad sets. @param {Record<string, any[]>} columns @returns {number[]} */
 export function badHoursOf({ due_h, quality }) {
   return due_h.filter((_, k) => quality[k] === "bad");
 }

@@ -1,12 +1,12 @@
-// Puts a picture and what is drawn over it on a canvas: hours to the right, time downwards.
+// Paint the image and its overlays on a canvas: hours to the right, time downwards.
 
 import { color } from "../dom.js";
-import { palette, step, themeNow } from "./colours.js";
-import { extreme } from "./picture.js";
+import { palette, step, themeNow } from "./colors.js";
+import { extreme } from "./image.js";
 
-/** @typedef {import("./picture.js").Picture} Picture @typedef {[number, number]} Span */
+/** @typedef {import("./image.js").WaterfallImage} WaterfallImage @typedef {[number, number]} Span */
 /**
- * @typedef {object} Over what is drawn over the picture
+ * @typedef {object} Over overlays of the image
  * @property {{color: string, label: string, dash: number[], hours: number[], seconds: (number | null)[]}[]} tracks
  * @property {number[]} bad hours of bad sets
  * @property {number[]} alarms hours
@@ -14,29 +14,39 @@ import { extreme } from "./picture.js";
  * @property {number | null} opened hour
  */
 
-/** Keep the value that lies further from zero. @param {Float32Array} values @param {number} at @param {number} value */
-function further(values, at, value) {
+/** Keep the value that is further from zero. @param {Float32Array} values @param {number} at @param {number} value */
+function keepExtreme(values, at, value) {
   if (!Number.isNaN(value) && !(Math.abs(values[at]) >= Math.abs(value))) values[at] = value;
 }
 
-/** The picture pixel by pixel: of all cells that a pixel touches, the value furthest from zero. @param {CanvasRenderingContext2D} context @param {Picture} picture @param {Span} hours @param {Span} seconds @param {number} limit */
-export function paint(context, picture, hours, seconds, limit) {
+/**
+ * Paint the image pixel by pixel: of all cells that a pixel touches, the value furthest from zero.
+ *
+ * @param {CanvasRenderingContext2D} context
+ * @param {WaterfallImage} image
+ * @param {Span} hours
+ * @param {Span} seconds
+ * @param {number} limit
+ */
+export function paint(context, image, hours, seconds, limit) {
   const { width, height } = context.canvas;
-  const { header } = picture;
-  const image = context.createImageData(width, height);
-  const pixels = new Uint32Array(image.data.buffer);
-  const colours = palette(themeNow());
+  const { header } = image;
+  const imageData = context.createImageData(width, height);
+  const pixels = new Uint32Array(imageData.data.buffer);
+  const colors = palette(themeNow());
   const perPixelS = (seconds[1] - seconds[0]) / height;
   const perPixelH = (hours[1] - hours[0]) / width;
   const firsts = new Int32Array(height + 1);
-  // A pixel that begins where a cell does must not take the one before for the rounding of seconds.
-  for (let y = 0; y <= height; y++) firsts[y] = Math.floor((seconds[0] + y * perPixelS - header.first_s) / header.cell_s + 1e-6);
-  /** Values of a row by pixel. @param {number} row */
+  // A pixel that starts at the edge of a cell must not take the cell before, because seconds are rounded.
+  for (let y = 0; y <= height; y++)
+    firsts[y] = Math.floor((seconds[0] + y * perPixelS - header.first_s) / header.cell_s + 1e-6);
+  /** Return the values of a row by pixel. @param {number} row */
   const columnOf = (row) => {
     const values = new Float32Array(height).fill(NaN);
     for (let y = 0; y < height; y++) {
       const last = Math.max(firsts[y], firsts[y + 1] - 1);
-      for (let cell = Math.max(0, firsts[y]); cell <= last && cell < header.columns; cell++) further(values, y, extreme(picture, row * header.columns + cell));
+      for (let cell = Math.max(0, firsts[y]); cell <= last && cell < header.columns; cell++)
+        keepExtreme(values, y, extreme(image, row * header.columns + cell));
     }
     return values;
   };
@@ -48,14 +58,15 @@ export function paint(context, picture, hours, seconds, limit) {
     const from = hours[0] + x * perPixelH;
     values.fill(NaN);
     while (first < header.rows && header.until_h[first] <= from) delete columns[first++];
-    // What begins within a pixel is seen in it, however short: no row is passed over.
+    // A row that starts within a pixel is shown in it, however short: no row is skipped.
     for (let row = first; row < header.rows && header.first_h[row] < from + perPixelH; row++) {
       columns[row] ??= columnOf(row);
-      for (let y = 0; y < height; y++) further(values, y, columns[row][y]);
+      for (let y = 0; y < height; y++) keepExtreme(values, y, columns[row][y]);
     }
-    for (let y = 0; y < height; y++) if (!Number.isNaN(values[y])) pixels[y * width + x] = colours[step(values[y], limit)];
+    for (let y = 0; y < height; y++)
+      if (!Number.isNaN(values[y])) pixels[y * width + x] = colors[step(values[y], limit)];
   }
-  context.putImageData(image, 0, 0);
+  context.putImageData(imageData, 0, 0);
 }
 
 /** @param {CanvasRenderingContext2D} context @param {Over} over @param {Span} hours @param {Span} seconds */
@@ -87,8 +98,11 @@ export function paintOver(context, over, hours, seconds) {
         drawing = true;
       }
     });
-    // A rim, so that the line is seen on every colour of the map.
-    for (const [stroke, wide] of /** @type {[string, number][]} */ ([["--surface", 4], [track.color, 2]])) {
+    // A rim makes the line visible on every color of the map.
+    for (const [stroke, wide] of /** @type {[string, number][]} */ ([
+      ["--surface", 4],
+      [track.color, 2],
+    ])) {
       context.strokeStyle = color(stroke);
       context.lineWidth = wide * ratio;
       context.setLineDash(stroke === "--surface" ? [] : track.dash.map((one) => one * ratio));

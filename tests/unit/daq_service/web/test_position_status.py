@@ -67,6 +67,6 @@ def test_status_shows_what_is_suppressed(folder):
 def test_the_page_has_a_label_for_each_status():
     script = (Path(web.__file__).parent / "dashboard" / "icons.js").read_text(encoding="utf-8")
     states = script.partition("export const STATES = {")[2].partition("};")[0]
-    labels = dict(re.findall(r'(\w+): \{ word: "([^"]+)"', states))
+    labels = dict(re.findall(r'(\w+): \{ label: "([^"]+)"', states))
     assert labels.keys() == set(get_args(PositionStatus))
     assert (labels["shelved"], labels["out_of_service"]) == ("Shelved", "Out of service")

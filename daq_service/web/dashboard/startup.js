@@ -1,13 +1,13 @@
-// What is seen first: the tiles, of answers that came with the page. Its other scripts are asked for when these
-// are on the screen; before, they would only be in the way.
+// Draw the tiles first, from answers embedded in the page. The other scripts are requested when these
+// are on the screen; before that they would only delay them.
 
-import { broughtAlong } from "./api.js";
+import { embeddedAnswer } from "./api.js";
 import { byId } from "./dom.js";
 import { Tiles } from "./tiles.js";
 
 export const tiles = new Tiles(byId("tiles"));
 setInterval(() => tiles.tick(), 1000);
-// What is shown stands in the address, which the other scripts read when they come.
+// The address holds the view; the other scripts read it when they load.
 /** @param {string} position */
 tiles.onSelect = (position) => {
   const query = new URLSearchParams(location.search);
@@ -18,18 +18,18 @@ tiles.onSelect = (position) => {
   tiles.select(position);
 };
 
-const transducers = broughtAlong("/api/v1/transducers");
+const transducers = embeddedAnswer("/api/v1/transducers");
 if (transducers) {
-  tiles.lossLimit = broughtAlong("/api/v1/info").limits.thickness_loss_fraction;
+  tiles.lossLimit = embeddedAnswer("/api/v1/info").limits.thickness_loss_fraction;
   tiles.online = true;
   tiles.update(transducers);
 }
 
-function goOn() {
+function loadRemaining() {
   document.head.append(/** @type {HTMLTemplateElement} */ (byId("later")).content);
   void import("./main.js");
 }
 
-// A page that nobody looks at has no frames.
-if (document.hidden) goOn();
-else requestAnimationFrame(() => setTimeout(goOn));
+// A hidden page has no frames.
+if (document.hidden) loadRemaining();
+else requestAnimationFrame(() => setTimeout(loadRemaining));

@@ -1,0 +1,180 @@
+// Show the baseline of the charted position: its lifecycle, its quality and its commands.
+
+import { askConfirmation } from "./control/confirm.js";
+import { isAllowed } from "./control/session.js";
+import { el } from "./dom.js";
+import { NONE, fixed, significant, utc } from "./format.js";
+import { chip } from "./icons.js";
+import { sendByButton } from "./commands.js";
+
+/** @type {Record<string, import("./icons.js").Look>} */
+const STATES = {
+  collecting: { label: "Collecting", icon: "dots", tone: "info" },
+  unusable: { label: "No limits: nothing is judged", icon: "triangle", tone: "warn" },
+  proposed: { label: "Proposed: nobody has signed it", icon: "triangle", tone: "warn" },
+  approved: { label: "Approved", icon: "check", tone: "good" },
+  retired: { label: "Retired", icon: "stop", tone: "" },
+};
+const NOTE = { name: "note", label: "Reason (everybody sees it)" };
+
+/** @type {Record<string, (sets: number[]) => string>} */
+const ANOMALY_TEXTS = {
+  group: (sets) => `sets ${sets.join(", ")} lie together, away from the others`,
+  outlier: (sets) => `set ${sets[0]} lies alone, away from the others`,
+  trend: () => "a trend over the whole baseline",
+};
+
+/** @param {any} row of /baselines */
+function approvalText(row) {
+  const { retired_by: author, retired_because: reason } = row;
+  if (row.state === "retired") return `retired by ${author}, ${utc(row.retired_utc)}: ${reason}`;
+  if (row.state !== "approved") return "";
+  return (
+    `${row.approval === "automatic" ? "automatically: nobody signed it" : `by ${row.approval}`}, ` +
+    `${utc(row.approved_utc)}`
+  );
+}
+
+/** Whether it is frozen but has no limits. @param {any} row of /baselines */
+const unusable = (row) => row.state !== "collecting" && row.state !== "retired" && row.limit_reason !== null;
+
+/** @param {any} quality of a baseline */
+function falseAlarmText({
+  false_alarms_per_sensor_year,
+  rate_guaranteed: rateVerified,
+  why_not_guaranteed: unverifiedReason,
+}) {
+  return (
+    `${significant(false_alarms_per_sensor_year)} a year by the chart, ` +
+    `${rateVerified ? "promised" : `not promised: ${unverifiedReason}`}`
+  );
+}
+
+/**
+ * Return the facts of a baseline and its quality, each with its name.
+ *
+ * @param {any} row of /baselines
+ * @returns {[string, string][]}
+ */
+function facts(row) {
+  const { readiness: quality, temperature_c } = row;
+  const range = `${row.first_set_index} to ${row.last_set_index}`;
+  if (row.state === "collecting")
+    return [
+      ["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} so far (${range})`],
+      ["Complete", `with the set of hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`],
+    ];
+  if (quality === null)
+    return [
+      ["Sets", `${row.n_sets}, of ${range}`],
+      ["Limit", row.limit_reason ?? NONE],
+    ];
+  const anomalies = quality.named.map(
+    (/** @type {any} */ one) => ANOMALY_TEXTS[one.kind]?.(one.set_indices) ?? one.kind,
+  );
+  return [
+    ["Sets", `${quality.n} of ${range}, ${quality.n_left_out} left out`],
+    [
+      "Worth",
+      `${fixed(quality.n_eff, 0)} independent sets (correlation from set to set ${fixed(quality.phi_pooled, 2)})`,
+    ],
+    ["Tails", `${fixed(quality.tail, 2)} times those of normal sets`],
+    ["Stands out", anomalies.join("; ") || "nothing"],
+    [
+      "Temperature",
+      temperature_c === null ? "not measured" : `${fixed(temperature_c[0], 1)} to ${fixed(temperature_c[1], 1)} °C`,
+    ],
+    ["False alarms", falseAlarmText(quality)],
+    ...(quality.advice ? [/** @type {[string, string]} */ (["Size", quality.advice])] : []),
+  ];
+}
+
+export class BaselineCard {
+  /** @param {HTMLElement} root @param {(text: string) => void} onTrouble */
+  constructor(root, onTrouble) {
+    this.root = root;
+    this.onTrouble = onTrouble;
+    this.position = "";
+    this.shown = this.offered = "";
+    this.head = el("h2");
+    this.state = el("span", { class: "bare" });
+    this.body = el("div");
+    this.commandButtons = el("p", { class: "chips" });
+    this.root.replaceChildren(el("summary", {}, this.head, " ", this.state), this.body, this.commandButtons);
+  }
+
+  /**
+   * @param {string} position that the charts show
+   * @param {any[]} rows its baselines from the API, the current one last
+   * @param {boolean} acceptsCommands whether a recorder carries out commands
+   */
+  update(position, rows, acceptsCommands) {
+    const row = rows.at(-1);
+    this.position = position;
+    this.root.hidden = row === undefined;
+    const shown = JSON.stringify(rows);
+    if (row === undefined || shown + acceptsCommands === this.shown) return;
+    this.shown = shown + acceptsCommands;
+    this.head.textContent = `Baseline of ${position}`;
+    this.state.replaceChildren(chip(STATES[unusable(row) ? "unusable" : row.state]));
+    const readouts = facts(row).map(([term, value]) =>
+      el("div", {}, el("dt", { text: term }), el("dd", { text: value })),
+    );
+    const earlier = rows.slice(0, -1).map((one) => el("li", { text: `${one.name}, ${approvalText(one)}` }));
+    this.body.replaceChildren(
+      el("p", { class: "quiet", text: [row.name, approvalText(row)].filter(Boolean).join(", ") }),
+      el("dl", { class: "readouts long" }, ...readouts),
+      ...(earlier.length
+        ? [el("p", { class: "quiet small", text: "Before it:" }), el("ul", { class: "small" }, ...earlier)]
+        : []),
+    );
+    // A new set must not replace a button that a finger may be about to press.
+    const offered = JSON.stringify([row.name, row.state, acceptsCommands]);
+    if (offered !== this.offered) this.commandButtons.replaceChildren(...(acceptsCommands ? this.buttons(row) : []));
+    this.offered = offered;
+  }
+
+  /** @param {any} row the present baseline */
+  buttons(row) {
+    const { position } = this;
+    const approve = {
+      title: `Sign the baseline of ${position}`,
+      paragraphs: [
+        `You say that the wall and the transducer at ${position} were healthy in sets ` +
+          `${row.first_set_index} to ${row.last_set_index}. Later sets are judged by them, as they are ` +
+          "already.",
+      ],
+      submitLabel: `Sign ${row.name}`,
+      fields: [{ ...NOTE, label: "Note (everybody sees it)" }],
+    };
+    const renew = {
+      title: `Another baseline for ${position}`,
+      paragraphs: [
+        `${row.name} is retired for good. Another one is collected from the next planned set on, and ` +
+          `until it is complete nothing judges the wall at ${position}: not the chart, and no limit.`,
+        "It learns the wall as it is. Damage that is there by then counts as healthy.",
+      ],
+      submitLabel: `Retire ${row.name}`,
+      fields: [{ ...NOTE, input: { required: true } }],
+    };
+    return [
+      ...(row.state === "proposed" && !unusable(row) && isAllowed("approve_baseline")
+        ? [this.button("Sign it", "approve_baseline", approve)]
+        : []),
+      ...(isAllowed("renew_baseline") ? [this.button("Begin another one", "renew_baseline", renew)] : []),
+    ];
+  }
+
+  /** @param {string} label @param {string} kind @param {import("./control/confirm.js").Question} question */
+  button(label, kind, question) {
+    const commandButton = /** @type {HTMLButtonElement} */ (
+      el("button", { class: "button ghost", type: "button", text: label })
+    );
+    commandButton.addEventListener("click", async () => {
+      const { position } = this;
+      const answers = await askConfirmation(question);
+      if (answers !== null) await sendByButton(commandButton, kind, { position, ...answers }, this.onTrouble);
+    });
+    return commandButton;
+  }
+}

@@ -1,0 +1,59 @@
+// Pause and resume the test: a button that asks for the reason, and a banner while nothing strikes.
+
+import { askConfirmation } from "./control/confirm.js";
+import { isAllowed } from "./control/session.js";
+import { byId, setText } from "./dom.js";
+import { icon } from "./icons.js";
+import { sendByButton } from "./commands.js";
+
+export class PauseControl {
+  /** @param {(text: string) => void} onTrouble */
+  constructor(onTrouble) {
+    this.onTrouble = onTrouble;
+    this.button = /** @type {HTMLButtonElement} */ (byId("pause"));
+    this.banner = byId("paused");
+    this.resumeButton = /** @type {HTMLButtonElement} */ (byId("resume"));
+    byId("paused-icon").append(icon("pause"));
+    this.button.addEventListener("click", () => void this.pause());
+    this.resumeButton.addEventListener("click", () => void this.resume());
+  }
+
+  /** @param {string | null} pausedBy who has paused the test and the reason @param {string} recorder */
+  update(pausedBy, recorder) {
+    const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
+    this.banner.hidden = pausedBy === null;
+    this.button.hidden = pausedBy !== null || !acceptsCommands || !isAllowed("hold");
+    this.resumeButton.hidden = !acceptsCommands || !isAllowed("release");
+    setText(byId("paused-reason"), pausedBy === null ? "" : `${pausedBy[0].toUpperCase()}${pausedBy.slice(1)}`);
+  }
+
+  async pause() {
+    const answers = await askConfirmation({
+      title: "Hold the test",
+      paragraphs: ["The strike that is under way ends, none follows, and a restart does not end the hold."],
+      submitLabel: "Hold now",
+      // To pause is the safe choice itself: the field that it needs has the focus.
+      fields: [
+        {
+          name: "note",
+          label: "Reason",
+          first: true,
+          input: { required: true, pattern: ".*\\S.*", placeholder: "hands in the rig" },
+        },
+      ],
+    });
+    if (answers) await sendByButton(this.button, "hold", answers, this.onTrouble);
+  }
+
+  async resume() {
+    const answers = await askConfirmation({
+      title: "Release the test",
+      paragraphs: [
+        "Strikers move again from the next due set on: hands out of the rig, doors shut.",
+        "To take it back, hold the test again.",
+      ],
+      submitLabel: "Release now",
+    });
+    if (answers) await sendByButton(this.resumeButton, "release", {}, this.onTrouble);
+  }
+}

@@ -1,0 +1,118 @@
+"""The page is formatted and has plain names: short lines, no refused word in an identifier."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "daq_service/web/dashboard"
+FILES = [
+    path
+    for path in sorted(PAGE.rglob("*"))
+    if path.suffix in {".js", ".css", ".html"} and "vendor" not in path.parts
+]
+WIDTH = 120
+REFUSED = (ROOT / "tests/architecture/refused_words.txt").read_text(encoding="utf-8").split()
+KEYS_OF_THE_API = {
+    "told": "the response of a receiver in /notifications",
+    "cause_told": "the texts of a diagnosis in /verdicts",
+    "last_verdict": "the newest assessment of a position in /transducers",
+    "not_judged": "a status of a position in /transducers",
+    "retired_because": "the reason in /transducers and /baselines",
+    "suppressed_because": "the reason in /alarms",
+    "verdicts": "a table of /tables",
+}
+"""Names that only the API can change: the page gives their values names of its own."""
+# Prettier puts spaces around a division: a slash without one starts a regular expression.
+CODE = re.compile(
+    r"""//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'"""
+    r"""|/(?=[^\s/*])(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/|(?P<name>[A-Za-z_$][\w$]*)|[`{}]""",
+    flags=re.DOTALL,
+)
+TEXT = re.compile(r"(?:\\.|\$(?!\{)|[^`\\$])*", flags=re.DOTALL)
+
+
+def names_of_script(script: str) -> set[str]:
+    """Return the identifiers of a script, without its comments, strings and regular expressions.
+
+    The expressions within template literals count, at any depth.
+    """
+    found, braces, at = set(), [], 0
+    while token := CODE.search(script, at):
+        at = token.end()
+        text = token[0] == "`"
+        if token["name"]:
+            found.add(token["name"])
+        elif braces and token[0] in "{}":
+            braces[-1] += 1 if token[0] == "{" else -1
+            text = braces[-1] < 0
+            if text:
+                braces.pop()
+        if text:
+            at = TEXT.match(script, at).end()
+            if script.startswith("${", at):
+                braces.append(0)
+            at += 2 if script.startswith("${", at) else 1
+    return found
+
+
+def names_of(path: Path) -> set[str]:
+    """Return the identifiers of a script, and the classes and ids of a page or a style sheet."""
+    content = path.read_text(encoding="utf-8")
+    if path.suffix == ".js":
+        return names_of_script(content)
+    if path.suffix == ".css":
+        return set(re.findall(r"[.#]([a-z][\w-]*)", content))
+    return {name for value in re.findall(r'(?:id|class|for)="([^"]+)"', content) for name in value.split()}
+
+
+def refused_words_in(name: str) -> list[str]:
+    """Return the refused words that a name has, in camel, snake or kebab case."""
+    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
+    found = [word for word in words if {word, word.removesuffix("s")}.intersection(REFUSED)]
+    return found + [word for word in words[1:][-1:] if f"*_{word}" in REFUSED]
+
+
+def test_no_line_of_the_page_is_long() -> None:
+    assert len(FILES) > 60
+    long = [
+        f"{path.relative_to(PAGE)}:{number}"
+        for path in FILES
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if len(line) > WIDTH
+    ]
+    assert long == [], f"over {WIDTH} characters: `nox -s format`, and split what it leaves"
+
+
+def test_no_name_of_the_page_has_a_refused_word() -> None:
+    found = {(name, path.name) for path in FILES for name in {path.stem, *names_of(path)}}
+    refused = {(name, file) for name, file in found if refused_words_in(name)}
+    assert {pair for pair in refused if pair[0] not in KEYS_OF_THE_API} == set()
+    assert {name for name, _ in refused} == KEYS_OF_THE_API.keys(), "a key that the page no longer reads"
+
+
+@pytest.mark.parametrize(
+    ("script", "names"),
+    [
+        ('let a = "told"; // said', {"let", "a"}),
+        ("a.replace(/[`*]told/g, b)", {"a", "replace", "g", "b"}),
+        ("`told ${toldAt + `${x ? '}' : {y}} said`} anew` + b", {"toldAt", "x", "y", "b"}),
+    ],
+)
+def test_names_are_those_of_the_code_alone(script: str, names: set[str]) -> None:
+    assert names_of_script(script) == names
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("toldAt", ["told"]),
+        ("verdicts", ["verdicts"]),
+        ("retired_because", ["because"]),
+        ("becauseOf", []),
+        ("aside", []),
+    ],
+)
+def test_words_are_found_in_any_case(name: str, words: list[str]) -> None:
+    assert refused_words_in(name) == words
