@@ -155,7 +155,7 @@ def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(l
     of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
-    (told,) = [words for words in in_words(found) if words.startswith("verdict B")]
+    (told,) = [words for words in in_words(found) if words.startswith("assessment B")]
     first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
     assert f"{first}; limit_name in 25 sets from set 0 on" in told
 
