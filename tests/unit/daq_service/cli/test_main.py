@@ -171,6 +171,27 @@ def test_the_first_words_of_the_demo_come_before_anything_is_imported() -> None:
     assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}
 
 
+def test_the_recorder_imports_no_compiler_plots_web_or_drivers() -> None:
+    """A single file of unit tests answers in seconds; a restart of the recorder, too."""
+    code = "import sys, daq_service.recording.session; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    slow = {
+        "numba",
+        "matplotlib",
+        "pandas",
+        "fastapi",
+        "uvicorn",
+        "rich",
+        "nidaqmx",
+        "niscope",
+        "grpc",
+        "serial",
+    }
+    assert not set(done.stdout.split()) & (
+        slow | {"scipy.linalg", "scipy.signal", "scipy.stats", "scipy.sparse"}
+    )
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_is_told_how_to_complete(shell: str) -> None:
     done = solimon_here("completion", shell, env={})
