@@ -164,8 +164,8 @@ def main() -> None:
     if options.json:
         print(json.dumps(found))
         return
-    for part, told in found.items():
-        for name, values in told.items() if isinstance(told, dict) else [("", told)]:
+    for part, times in found.items():
+        for name, values in times.items() if isinstance(times, dict) else [("", times)]:
             print(f"{part:<12}{name:<12}{values}")
 
 

@@ -120,13 +120,13 @@ def run_recorder(hours: float, kind: str) -> dict[str, Any]:
 
 def run_in_a_process(kind: str, hours: float) -> dict[str, Any]:
     """One run in a new process, so that none inherits the other's memory."""
-    told = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, __file__, "--hours", str(hours), "--one", kind],
         capture_output=True,
         text=True,
         check=True,
     )
-    result: dict[str, Any] = json.loads(told.stdout)
+    result: dict[str, Any] = json.loads(completed.stdout)
     return result
 
 
@@ -136,7 +136,7 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
         caches = {name: str(Path(folder) / place) for name, place in CACHES.items()} if cold else {}
         started, before = time.perf_counter(), os.times()
         command = [sys.executable, "-m", "daq_service.cli", "demo", "--exit", "--no-web", "--json"]
-        told = subprocess.run(
+        completed = subprocess.run(
             [*command, "--hours", str(hours), "--data-dir", str(Path(folder) / "data")],
             capture_output=True,
             text=True,
@@ -144,7 +144,7 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
             env=os.environ | caches,
         )
         wall_s, after = time.perf_counter() - started, os.times()
-    result = json.loads(told.stdout)
+    result = json.loads(completed.stdout)
     # Zero on Windows, which does not add up children.
     processor_s = sum(after[2:4]) - sum(before[2:4])
     return {"wall_s": wall_s, "processor_s": processor_s, "shots": result["shots"], **result["cost"]}

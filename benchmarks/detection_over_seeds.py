@@ -71,7 +71,7 @@ class Outcome:
     run: Run
     first_alarm_h: float | None
     depth_at_alarm: float | None
-    judged: int
+    assessed_rows: int
     outliers: int
     outliers_paper: int
     n_baseline: int
@@ -111,19 +111,19 @@ def carry_out(run: Run) -> Outcome:
         if first_alarm_h is None and found.raised & {"wall_change", "hole"}:
             first_alarm_h = found.due.due_h
             depth_at_alarm = specimen.walls[run.position].at(found.hour_h).depth_fraction
-    judged = [row for row in assessments.values() if row.outlier is not None]
+    assessed_rows = [row for row in assessments.values() if row.outlier is not None]
     rule, states = AlarmRule(k=settings.alarms.k, n=settings.alarms.n), [AlarmState()]
-    for row in judged:
+    for row in assessed_rows:
         states.append(next_alarm_state(states[-1], row.outlier, rule))
     standing = {
-        "chart": [bool(row.chart_alarm) for row in judged],
+        "chart": [bool(row.chart_alarm) for row in assessed_rows],
         "k_of_n": [state.active for state in states[1:]],
-        "alarm": [raised[row.set_index] for row in judged],
-        "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in judged],
+        "alarm": [raised[row.set_index] for row in assessed_rows],
+        "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in assessed_rows],
     }
     if run.why:
         standing |= otherwise(
-            vectors, [i for i, row in assessments.items() if row.in_baseline], judged, settings
+            vectors, [i for i, row in assessments.items() if row.in_baseline], assessed_rows, settings
         )
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))
@@ -131,23 +131,26 @@ def carry_out(run: Run) -> Outcome:
         run=run,
         first_alarm_h=first_alarm_h,
         depth_at_alarm=depth_at_alarm,
-        judged=len(judged),
-        outliers=sum(row.outlier is True for row in judged),
-        outliers_paper=sum(row.outlier_paper is True for row in judged),
+        assessed_rows=len(assessed_rows),
+        outliers=sum(row.outlier is True for row in assessed_rows),
+        outliers_paper=sum(row.outlier_paper is True for row in assessed_rows),
         n_baseline=n_baseline,
         sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
-        raised_h={name: onsets(judged, stands) for name, stands in standing.items()},
+        raised_h={name: onsets(assessed_rows, stands) for name, stands in standing.items()},
     )
 
 
 def otherwise(
-    vectors: Mapping[int, Sequence[float]], baseline: Sequence[int], judged: Sequence[Any], settings: Settings
+    vectors: Mapping[int, Sequence[float]],
+    baseline: Sequence[int],
+    assessed_rows: Sequence[Any],
+    settings: Settings,
 ) -> dict[str, list[bool]]:
     """Tell after each judged set which alarm would stand by charts, and by k of n, designed otherwise."""
     begins, n = min(baseline), max(baseline) - min(baseline) + 1
-    sets = np.full((judged[-1].set_index - begins + 1, len(FEATURE_NAMES)), np.nan)
+    sets = np.full((assessed_rows[-1].set_index - begins + 1, len(FEATURE_NAMES)), np.nan)
     for index, vector in vectors.items():
-        if begins <= index <= judged[-1].set_index:
+        if begins <= index <= assessed_rows[-1].set_index:
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
     budget = run_length(settings)
@@ -157,7 +160,7 @@ def otherwise(
         "chart, no memory": with_memory(history, found.matrix, 0.0 * found.phi, designs.limit),
         "chart, limit of a known baseline": replace(designs, limit=known_limit(p, budget)),
     }
-    rows = [row.set_index - begins for row in judged]
+    rows = [row.set_index - begins for row in assessed_rows]
     standing: dict[str, list[bool]] = {}
     for name, chart in charts.items():
         alarming, standing[name] = False, []
@@ -179,10 +182,10 @@ def otherwise(
     return standing
 
 
-def onsets(judged: Sequence[Any], stands: Sequence[bool]) -> list[float]:
+def onsets(assessed_rows: Sequence[Any], stands: Sequence[bool]) -> list[float]:
     return [
         row.due_h
-        for row, before, now in zip(judged, [False, *stands], stands, strict=False)
+        for row, before, now in zip(assessed_rows, [False, *stands], stands, strict=False)
         if now and not before
     ]
 
@@ -198,7 +201,7 @@ def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tupl
             baseline = fit_baseline(
                 random.standard_normal((outcome.n_baseline, p)), range(outcome.n_baseline), name="simulated"
             )
-            sets = random.standard_normal((outcome.judged, p))
+            sets = random.standard_normal((outcome.assessed_rows, p))
             totals[draw] += int(np.count_nonzero(distance_squared(sets, baseline) > limit))
     low, high = np.quantile(totals, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], method="nearest")
     return int(low), int(high), float(totals.mean())
@@ -246,7 +249,7 @@ def describe(outcome: Outcome) -> str:
     depth = "" if outcome.depth_at_alarm is None else f", mean depth {100 * outcome.depth_at_alarm:4.1f} %"
     return (
         f"{run.position} seed {run.seed:2d} scatter x{run.scale:g} drift {'on ' if run.drift else 'off'}  "
-        f"{alarm}{depth}; outliers {outcome.outliers} of {outcome.judged} "
+        f"{alarm}{depth}; outliers {outcome.outliers} of {outcome.assessed_rows} "
         f"(paper's limit: {outcome.outliers_paper})"
     )
 
@@ -300,7 +303,7 @@ def main() -> int:
     else:
         if quiet:
             print(
-                f"D, drift off: {pooled} outliers in {sum(o.judged for o in quiet)} sets; "
+                f"D, drift off: {pooled} outliers in {sum(o.assessed_rows for o in quiet)} sets; "
                 f"expected {mean:.1f}, central 99.5 %: {low}..{high}"
             )
         print("\n".join(by_rule(outcomes)))

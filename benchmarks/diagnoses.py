@@ -72,7 +72,7 @@ DEPTH_AT_END = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+class ModelSlopes:
     """A model as slopes: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
 
     of_place: FloatArray
@@ -81,7 +81,7 @@ class Judged:
 
 
 @lru_cache(maxsize=8)
-def judged(name: str) -> Judged:
+def model_slopes(name: str) -> ModelSlopes:
     chain, plate = MODELS[name]
     found = slopes(chain, plate, PATCH_M)
     n = chain.bodies
@@ -90,7 +90,7 @@ def judged(name: str) -> Judged:
     rows = [found[f"stiffness_{k}"] for k in range(n)] + [found[f"damping_{k}"] for k in range(n)]
     rows += [found["drop_height"], gain, found["tilt_rad"]]
     wall = np.vstack([np.zeros(len(COMPONENTS)), walls(chain, plate, PATCH_M)])
-    return Judged(of_place=np.array(rows), of_plate_modulus=found["plate_modulus"], wall=wall)
+    return ModelSlopes(of_place=np.array(rows), of_plate_modulus=found["plate_modulus"], wall=wall)
 
 
 @lru_cache(maxsize=1)
@@ -160,7 +160,7 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
 
 def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Logarithms of each set and of a confirmation set struck then, shape (n, 7), and the wall's depth."""
-    chain, found, random = MODELS[model][0], judged(model), np.random.default_rng(seed)
+    chain, found, random = MODELS[model][0], model_slopes(model), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
     weather: Climate = climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
     room, reseat = temperature(drift, seed=seed), reseat_of(level, random, n)
@@ -197,7 +197,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
 
 def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE) -> dict[str, Any]:
     """Judge one run by the last sets before `BASELINE`; depths are None where it was never called so."""
-    logs, beside, depths = sets_of(case, level, model, seed)
+    logs, confirmation_logs, depths = sets_of(case, level, model, seed)
     design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
@@ -211,15 +211,15 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
         state = next_alarm_state(state, bool(beyond[index]), RULE)
-        told = diagnosis_of(memory, design, suspicious=state.active)
-        memory = remembering(memory, told)
-        if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
+        diagnosis = diagnosis_of(memory, design, suspicious=state.active)
+        memory = remembering(memory, diagnosis)
+        if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
-            memory = with_confirmation(memory, design.mean, beside[index])
-            told = diagnosis_of(memory, design, suspicious=True)
-            memory = remembering(memory, told)
-        calls[told.cause] += 1
-        for name, seen in (("wall", told.cause == WALL), ("f", state.active)):
+            memory = with_confirmation(memory, design.mean, confirmation_logs[index])
+            diagnosis = diagnosis_of(memory, design, suspicious=True)
+            memory = remembering(memory, diagnosis)
+        calls[diagnosis.cause] += 1
+        for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
                 first[name] = float(depths[index])
     return {
@@ -228,7 +228,7 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
         "model": model,
         "seed": seed,
         "called": dict(calls),
-        "last": told.cause,
+        "last": diagnosis.cause,
         "first_wall_depth": first["wall"],
         "first_f_depth": first["f"],
         "f_alarmed": first["f"] is not None,
@@ -276,17 +276,17 @@ def show(rows: Sequence[dict[str, Any]]) -> None:
             other = percent([bool(OTHERS & row["called"].keys()) for row in own])
             by_f = percent([row["f_alarmed"] for row in own])
             ends = Counter(row["last"] for row in own).most_common()
-            told = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
+            text = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
             shares = f"{called:8.1f}{other:8.1f}{by_f:7.1f}"
-            print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {told}")
+            print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {text}")
             if case == CORROSION.name:
                 first, f_first = median_depth(own, "first_wall_depth"), median_depth(own, "first_f_depth")
                 print(f"{'':11s}median depth at the first WALL {first:.3f}, by F, 3 of 5 {f_first:.3f}")
                 healthy = [row for row in rows if row["level"] == level and row["case"] == HEALTHY.name]
                 if healthy:
                     held = depth_by_f_held_to(HEALTHY_RATE, healthy, own)
-                    told = f"at a limit that {100 * HEALTHY_RATE:g} % of the healthy runs here go beyond"
-                    print(f"{'':11s}by 3 of 5 {told}: {held:.3f}")
+                    text = f"at a limit that {100 * HEALTHY_RATE:g} % of the healthy runs here go beyond"
+                    print(f"{'':11s}by 3 of 5 {text}: {held:.3f}")
 
 
 OTHERS = {SENSOR, COUPLING, ENVIRONMENT}
@@ -306,7 +306,7 @@ def main() -> None:
     options = parser.parse_args()
     models = options.models.split(",")
     for model in models:
-        judged(model)
+        model_slopes(model)
     electronic_sd()
     todo = [
         (CASES[case], level, models[k % len(models)], options.first_seed + k, options.baseline_sets)

@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import scipy
-from assessments import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, judged
+from diagnoses import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, model_slopes
 
 from analysis.diagnosis.slopes import DEPTHS
 from simulator.experiment.seating import _sources
@@ -43,7 +43,7 @@ SETS = BASELINE + AFTER
 
 def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Of set, wander, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
-    found, sources, scatter = judged(model), _sources(level, MODELS[model][0]), ScatterParameters()
+    found, sources, scatter = model_slopes(model), _sources(level, MODELS[model][0]), ScatterParameters()
     to_features = found.of_place.T @ sources.effect
 
     def of(sd: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ def growths(model: str, onsets: FloatArray) -> FloatArray:
     """Change of all logarithms by corrosion that begins so many sets after the baseline, shape (7 n, k)."""
     since = np.arange(SETS)[:, None] - BASELINE - onsets
     depths = np.minimum(CORROSION.depth * np.clip(since / AFTER, 0.0, None), DEPTHS[-1])
-    curve = judged(model).wall
+    curve = model_slopes(model).wall
     change = np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
     return change.reshape(-1, onsets.size)
 
@@ -101,14 +101,16 @@ def log_ratios(grown: FloatArray, seen: FloatArray, places: FloatArray | None) -
         What the re-seats add, unknown numbers of variance 1 times these columns, shape (7 n, m).
     """
     squared = up_to_each(grown**2)
-    told = np.stack([up_to_each(grown * one[:, None]) for one in seen.T], axis=2)
+    log_likelihood_ratios = np.stack([up_to_each(grown * one[:, None]) for one in seen.T], axis=2)
     if places is not None:  # the inverse of identity + places places^T, by Woodbury
         inner = np.linalg.inv(np.eye(places.shape[1]) + up_to_each(places[:, :, None] * places[:, None]))
         of_grown = up_to_each(places[:, :, None] * grown[:, None])
         through = inner @ of_grown
         squared = squared - (of_grown * through).sum(axis=1)
-        told = told - through.transpose(0, 2, 1) @ up_to_each(places[:, :, None] * seen[:, None])
-    return np.asarray(told - 0.5 * squared[:, :, None])
+        log_likelihood_ratios = log_likelihood_ratios - through.transpose(0, 2, 1) @ up_to_each(
+            places[:, :, None] * seen[:, None]
+        )
+    return np.asarray(log_likelihood_ratios - 0.5 * squared[:, :, None])
 
 
 def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
@@ -161,8 +163,8 @@ def main() -> None:
     print(f"median depth at which an oracle names the wall, {100 * FALSE_RATE:g} % of healthy runs called so")
     for level, by_name in medians.items():
         for name, by_model in by_name.items():
-            told = "  ".join(f"{model} {depth:.3f}" for model, depth in by_model.items())
-            print(f"{level:11s}{name:15s}{told}")
+            log_likelihood_ratios = "  ".join(f"{model} {depth:.3f}" for model, depth in by_model.items())
+            print(f"{level:11s}{name:15s}{log_likelihood_ratios}")
 
 
 if __name__ == "__main__":

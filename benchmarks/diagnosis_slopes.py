@@ -124,8 +124,8 @@ def main() -> None:
     of_sources = slopes(chain, plate)
     of_walls = {name: walls(chain, plate, size_m) for name, size_m in PATCHES_M.items()}
     if options.json:
-        told = {name: row.tolist() for name, row in of_sources.items()}
-        print(json.dumps({"slopes": told, "walls": {k: v.tolist() for k, v in of_walls.items()}}))
+        source_slopes = {name: row.tolist() for name, row in of_sources.items()}
+        print(json.dumps({"slopes": source_slopes, "walls": {k: v.tolist() for k, v in of_walls.items()}}))
         return
     for name, row in of_sources.items():
         print(f"{name!r:>16}: (" + ", ".join(f"{value:.4g}" for value in row) + "),")

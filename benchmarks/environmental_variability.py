@@ -35,14 +35,14 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
         None, overrides={"twin": {"seed": seed, "nuisance": level}, "schedule": {"end_h": hours}}
     )
     assessments, baseline, first_alarm_h, strikes = {}, [], None, 0
-    for judged in assessed_sets(settings, position):
-        assessments |= {row.set_index: row for row in judged.position_result.assessments}
-        strikes += len(judged.shots)
-        if judged.due.due_h <= settings.baseline.hours:
-            row = judged.position_result.features[-1]
+    for assessed in assessed_sets(settings, position):
+        assessments |= {row.set_index: row for row in assessed.position_result.assessments}
+        strikes += len(assessed.shots)
+        if assessed.due.due_h <= settings.baseline.hours:
+            row = assessed.position_result.features[-1]
             baseline.append([getattr(row, name) for name in FEATURE_NAMES])
-        if first_alarm_h is None and judged.raised & {"wall_change", "hole"}:
-            first_alarm_h = judged.due.due_h
+        if first_alarm_h is None and assessed.raised & {"wall_change", "hole"}:
+            first_alarm_h = assessed.due.due_h
     after_h = settings.baseline.hours if position == "D" else AFTER_H
     late = [row for row in assessments.values() if row.due_h > after_h and row.outlier is not None]
     table = np.array(baseline, dtype=np.float64)

@@ -233,8 +233,8 @@ async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any
         # In a process of their own: what they read would hold up whoever asks for `/healthz` here.
         load = [sys.executable, __file__, "--load", str(served.port), "--clients", str(clients)]
         process = await asyncio.create_subprocess_exec(*load, stdout=subprocess.PIPE)
-        told, _ = await process.communicate()
-        return int(told)
+        output, _ = await process.communicate()
+        return int(output)
 
     began = time.perf_counter()
     lost, times_s = await looking(served.port, all_of_them())
@@ -291,11 +291,11 @@ def strikes(clients: int) -> dict[str, float]:
                 asyncio.run(_listen_until(recorder, served.port, clients))
         with open_catalogue(folder) as catalogue:
             rows = catalogue.rows(ShotRow)
-    begun_ns = {row.set_index: row.mono_ns for row in rows if row.shot_index == 0}
+    started_ns = {row.set_index: row.mono_ns for row in rows if row.shot_index == 0}
     off_ms = [
-        abs((row.mono_ns - begun_ns[row.set_index]) / 1e6 - 1e3 * SHOT_INTERVAL_S * row.shot_index)
+        abs((row.mono_ns - started_ns[row.set_index]) / 1e6 - 1e3 * SHOT_INTERVAL_S * row.shot_index)
         for row in rows
-        if row.shot_index and row.set_index in begun_ns and row.set_index >= STRUCK_S // 2
+        if row.shot_index and row.set_index in started_ns and row.set_index >= STRUCK_S // 2
     ]
     return {
         "clients": clients,
@@ -321,17 +321,17 @@ async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: i
         writer.close()
 
 
-def measured(folder: Path, options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
+def measured(folder: Path, options: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
     """Everything that `main` prints."""
     found: dict[str, Any] = {}
     for way in ("nagle", "ours"):
-        tell(f"small answers, {way}")
+        report(f"small answers, {way}")
         with service(folder, way) as served:
             found.setdefault("small_answers_ms", {})[way] = asyncio.run(small_answers(served.port))
     small = found["small_answers_ms"]
     small["ratio"] = {path: round(small["nagle"][path] / small["ours"][path], 1) for path in small["ours"]}
     for way, path in (("fastapi", "/plain"), ("ours", "/api/v1/stream")):
-        tell(f"{options.clients} streams, {way}")
+        report(f"{options.clients} streams, {way}")
         with service(folder, way) as served:
             load = (folder, served, path, options.clients, options.rate, options.seconds)
             found.setdefault("streams", {})[way] = asyncio.run(deliveries(*load))
@@ -353,13 +353,13 @@ def main() -> None:
         print(asyncio.run(lost_by_those_who_come_back(options.load, options.clients)))
         return
 
-    def tell(what: str) -> None:
+    def report(what: str) -> None:
         print(f"measuring: {what}", file=sys.stderr, flush=True)
 
     found: dict[str, Any] = {"cores": os.cpu_count()}
     with tempfile.TemporaryDirectory() as name:
         begin(Path(name))
-        found |= measured(Path(name), options, tell)
+        found |= measured(Path(name), options, report)
     with tempfile.TemporaryDirectory() as name:
         begin(Path(name))
         with open_catalogue(Path(name), writer=True) as catalogue:
@@ -371,13 +371,13 @@ def main() -> None:
         found["come_back"] = {}
         for frozen in (0, FROZEN):
             with service(Path(name)) as served:
-                tell(f"{options.clients} come back, {frozen} frozen")
+                report(f"{options.clients} come back, {frozen} frozen")
                 found["come_back"][f"{frozen} frozen"] = asyncio.run(
                     come_back(served, options.clients, frozen)
                 )
     found["strikes_off_their_times"] = {}
     for clients in (0, options.clients):
-        tell(f"strikes beside {clients} streams")
+        report(f"strikes beside {clients} streams")
         found["strikes_off_their_times"][f"{clients}"] = strikes(clients)
     if options.json:
         print(json.dumps(found))

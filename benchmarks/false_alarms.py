@@ -35,7 +35,7 @@ LIMITS = ("default", "f_predictive", "paper_mean_3sd")
 FEATURES = [f"feature {k}" for k in range(P)]
 
 
-def judged(vectors: Any, n: int) -> Assessed:
+def assessed_sequence(vectors: Any, n: int) -> Assessed:
     """Judge a sequence whose first ``n`` sets are the baseline."""
     return assess(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
 
@@ -43,7 +43,7 @@ def judged(vectors: Any, n: int) -> Assessed:
 def promise(task: tuple[str, int, int]) -> dict[str, float]:
     """Five years of one healthy sensor."""
     name, n, seed = task
-    found = judged(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
+    found = assessed_sequence(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
     rates = {limit: 100.0 * found.count[limit] / FIVE_YEARS for limit in LIMITS}
     return {**rates, "alarms": len(found.onsets), "not promised": bool(found.why_not_guaranteed)}
 
@@ -56,7 +56,7 @@ def delay_sets(task: tuple[str, int, int]) -> float:
     direction = random.standard_normal(P)
     ramp = RAMP_SD * np.arange(1, 2 * RAMP_SETS + 1) / RAMP_SETS
     vectors[n:] += ramp[:, None] * direction / np.linalg.norm(direction)
-    onsets = judged(vectors, n).onsets
+    onsets = assessed_sequence(vectors, n).onsets
     return float(onsets[0] - n + 1) if onsets else float("inf")
 
 
@@ -88,8 +88,8 @@ def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
     for n in BASELINES:
         for name in NAMES:
             outcomes = list(each(promise, [(name, n, seed) for seed in range(runs)]))
-            told = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
-            found["healthy"][f"{name}, n = {n}"] = told
+            means = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
+            found["healthy"][f"{name}, n = {n}"] = means
             print(f"{name}, n = {n}", file=sys.stderr)
         for name in DELAYED:
             delays = list(each(delay_sets, [(name, n, seed) for seed in range(3 * runs)]))
@@ -115,9 +115,9 @@ def main() -> None:
         print(json.dumps(found))
         return
     print(f"{'healthy sensor':24}{'default':>9}{'F':>8}{'paper':>8}  %   alarms in 5 years   not promised")
-    for name, told in found["healthy"].items():
-        rates = f"{told['default']:9.3f}{told['f_predictive']:8.3f}{told['paper_mean_3sd']:8.2f}"
-        print(f"{name:24}{rates}      {told['alarms']:8.2f}            {100 * told['not promised']:6.0f} %")
+    for name, means in found["healthy"].items():
+        rates = f"{means['default']:9.3f}{means['f_predictive']:8.3f}{means['paper_mean_3sd']:8.2f}"
+        print(f"{name:24}{rates}      {means['alarms']:8.2f}            {100 * means['not promised']:6.0f} %")
     for name, sets in found["delay_sets"].items():
         print(f"a ramp of {RAMP_SD:g} SD in {RAMP_SETS} sets, {name}: alarm after {sets:.0f} sets (median)")
     for fault, share in found["named"].items():

@@ -82,16 +82,16 @@ def main() -> None:
         )
         try:
             assert server.stdout is not None
-            told = visits(server.stdout.readline().strip(), asked.times)
+            times_by_name = visits(server.stdout.readline().strip(), asked.times)
         finally:
             assert server.stdin is not None
             server.stdin.close()
             server.wait()
     if asked.json:
-        print(json.dumps(told))
+        print(json.dumps(times_by_name))
         return
     print(f"{'':22}{'median':>10}{'least':>10}{'most':>10}   ms, {asked.times} visits")
-    for name, times_ms in told.items():
+    for name, times_ms in times_by_name.items():
         print(f"{name:22}{statistics.median(times_ms):10.1f}{min(times_ms):10.1f}{max(times_ms):10.1f}")
 
 
@@ -106,12 +106,12 @@ def filled(folder: Path) -> Path:
 
 def visits(url: str, times: int) -> dict[str, list[float]]:
     """Milliseconds of each visit."""
-    told: dict[str, list[float]] = {"document alone": []}
+    times_by_name: dict[str, list[float]] = {"document alone": []}
     with httpx.Client(base_url=url) as api:
         for _ in range(times):
-            begun_s = time.perf_counter()
+            start_s = time.perf_counter()
             api.get("/").raise_for_status()
-            told["document alone"].append(1e3 * (time.perf_counter() - begun_s))
+            times_by_name["document alone"].append(1e3 * (time.perf_counter() - start_s))
     with chromium() as browser:
         for _ in range(times):
             context = browser.new_context(viewport=DESK)
@@ -120,9 +120,9 @@ def visits(url: str, times: int) -> dict[str, list[float]]:
             for when, go in (("", lambda page=page: page.goto(url)), (", again", page.reload)):
                 go()
                 for name, at_ms in seen(page).items():
-                    told.setdefault(f"{WHAT[name]}{when}", []).append(at_ms)
+                    times_by_name.setdefault(f"{WHAT[name]}{when}", []).append(at_ms)
             context.close()
-    return told
+    return times_by_name
 
 
 def seen(page: Any) -> dict[str, float]:

@@ -278,10 +278,10 @@ def rates(
     for _ in range(0, n, OF_A_SET):
         own = wall()
         others = [_extracted(scene(own).clean()) for _ in range(OTHERS[walls])]
-        told = Template(isw_fwhm_s=_extracted(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
+        template = Template(isw_fwhm_s=_extracted(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
         for _ in range(OF_A_SET):
             seen = [*others, _extracted(case(scene(own)))]
-            shots.append(compared_with_others(seen, learnt(seen) if others else told)[-1])
+            shots.append(compared_with_others(seen, learnt(seen) if others else template)[-1])
     return float(np.mean([bool(shot.flags) for shot in shots])), float(
         np.mean([not shot.valid for shot in shots])
     )
@@ -319,8 +319,8 @@ def main() -> None:
             )
             for db in levels_db
         ]
-        told = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
-        print(f"{case.__name__:22s} {told}", flush=True)
+        template = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
+        print(f"{case.__name__:22s} {template}", flush=True)
 
 
 if __name__ == "__main__":

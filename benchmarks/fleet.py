@@ -77,15 +77,15 @@ def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
 
     with one_blas_thread():
         alone = [list(assess(x, in_baseline, NAMES, textbooks=False).onsets) for x in tables]
-        told = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
-    raised = {int(one["file"]) for one in told["raised"]}
+        report = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
+    raised = {int(one["file"]) for one in report["raised"]}
     by_budget = {k for k, rows in enumerate(alone) if rows}
     return {
         "false": _false(raised, sick),
         "found": len([k for k in raised if k < sick]) / sick if sick else float("nan"),
         "false by each budget": _false(by_budget, sick),
-        "shared named": float(bool(told["shared"])),
-        "promised": float(told["fdr_guaranteed"]),
+        "shared named": float(bool(report["shared"])),
+        "promised": float(report["fdr_guaranteed"]),
     }
 
 
@@ -119,17 +119,17 @@ def speed() -> dict[str, float]:
         took = {}
         for words in ([], ["--fleet"]):
             command = ["solimon", "assess", *map(str, paths), "--baseline-rows", "200", "--json", "--no-rows"]
-            begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            start_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run([*command, *words], check=True, capture_output=True)
             name = " ".join(["solimon assess", *words])
-            took[name] = time.perf_counter() - begun
+            took[name] = time.perf_counter() - start_s
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             took[f"{name}, processor"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         for path in paths:
             vectors = np.load(path)
             assess(vectors, np.arange(len(vectors)) < 200, NAMES, textbooks=False)
-        took["one after another"] = time.perf_counter() - begun
+        took["one after another"] = time.perf_counter() - start_s
         return took
 
 
@@ -160,10 +160,10 @@ def main() -> None:
         f"{'fleet':34}  false of raised   +-      sick found   false, each within its budget   weather named"
         "   promised"
     )
-    for name, told in found.items():
+    for name, report in found.items():
         print(
-            f"{name:34}{told['false']:17.3f}   {told['standard error']:5.3f}{told['found']:13.2f}"
-            f"{told['false by each budget']:32.2f}{told['shared named']:16.2f}{told['promised']:11.2f}"
+            f"{name:34}{report['false']:17.3f}   {report['standard error']:5.3f}{report['found']:13.2f}"
+            f"{report['false by each budget']:32.2f}{report['shared named']:16.2f}{report['promised']:11.2f}"
         )
 
 

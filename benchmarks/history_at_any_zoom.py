@@ -163,9 +163,9 @@ def require_outliers(trend: dict[str, Any], first: int, last: int) -> None:
     """Refuse an answer that hides an outlier."""
     planted = (last + 1) // OUTLIER_EVERY - max(first, 48) // OUTLIER_EVERY
     columns, bins = trend["columns"], trend["bins"]
-    told = sum(bins["n_outliers"]) if bins else sum(map(bool, columns["outlier"]))
-    if told != planted or (planted and not any(columns["outlier"])):
-        raise SystemExit(f"sets {first} to {last} have {planted} outliers, the answer tells {told}")
+    n_outliers = sum(bins["n_outliers"]) if bins else sum(map(bool, columns["outlier"]))
+    if n_outliers != planted or (planted and not any(columns["outlier"])):
+        raise SystemExit(f"sets {first} to {last} have {planted} outliers, the answer tells {n_outliers}")
 
 
 def grouped(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:

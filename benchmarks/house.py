@@ -143,8 +143,8 @@ def main() -> None:
     rows = [(table, key) for table, keys in states["now"].items() for key in keys]
     for table, key in rows:
         values = [state.get(table, {}).get(key, "-") for state in states.values()]
-        told = ["a circle" if value is None else str(value) for value in values]
-        print(f"{table + ', ' + key:<30}" + "".join(f"{value:>14}" for value in told))
+        texts = ["a circle" if value is None else str(value) for value in values]
+        print(f"{table + ', ' + key:<30}" + "".join(f"{value:>14}" for value in texts))
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def main() -> None:
     arguments.add_argument("--rounds", type=int, default=30)
     arguments.add_argument("--json", action="store_true")
     options = arguments.parse_args()
-    told: dict[str, float] = {}
+    results: dict[str, float] = {}
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
         folder = Path(name)
         (folder / "journal").mkdir()
@@ -131,9 +131,9 @@ def main() -> None:
                     ours.append(journal_s(journal, [replace(shot) for shot in group]))
                     if not number % 2:
                         raw.append(segments.write_s(group))
-            told[f"raw_us_{size}"] = 1e6 * median(raw) / size
-            told[f"journal_us_{size}"] = 1e6 * median(ours) / size
-            told[f"ratio_{size}"] = median(left / right for left, right in zip(raw, ours, strict=True))
+            results[f"raw_us_{size}"] = 1e6 * median(raw) / size
+            results[f"journal_us_{size}"] = 1e6 * median(ours) / size
+            results[f"ratio_{size}"] = median(left / right for left, right in zip(raw, ours, strict=True))
         for path in (folder / "journal").iterdir():
             path.unlink()
         with closing(Journal(folder)) as journal:
@@ -141,17 +141,17 @@ def main() -> None:
                 journal_s(journal, shots(250, first + start))
         start_s = time.perf_counter()
         left = Journal(folder).left
-        told["restart_s"] = time.perf_counter() - start_s
+        results["restart_s"] = time.perf_counter() - start_s
         assert sum(len(item.shots) for item in left.values()) == FRAMES
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(results))
         return
     for size in GROUPS:
         print(
-            f"{size:4d} shots a sync: raw {told[f'raw_us_{size}']:7.0f} us a shot, journal "
-            f"{told[f'journal_us_{size}']:7.0f} us, ratio {told[f'ratio_{size}']:.2f}"
+            f"{size:4d} shots a sync: raw {results[f'raw_us_{size}']:7.0f} us a shot, journal "
+            f"{results[f'journal_us_{size}']:7.0f} us, ratio {results[f'ratio_{size}']:.2f}"
         )
-    print(f"{FRAMES} frames left by a crash are read in {told['restart_s']:.2f} s")
+    print(f"{FRAMES} frames left by a crash are read in {results['restart_s']:.2f} s")
 
 
 if __name__ == "__main__":

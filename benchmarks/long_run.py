@@ -171,10 +171,10 @@ def main() -> None:
         print(json.dumps(facts))
         return
     for name in ("memory_mb", "handles"):
-        told = facts[name]
+        values = facts[name]
         print(
-            f"{name:<10} {told['first']:.1f} first, {told['last']:.1f} last, {told['most']:.1f} at most, "
-            f"slope {told['slope_per_1000_sets']:+.2f} per 1,000 sets"
+            f"{name:<10} {values['first']:.1f} first, {values['last']:.1f} last, "
+            f"{values['most']:.1f} at most, slope {values['slope_per_1000_sets']:+.2f} per 1,000 sets"
         )
     print(
         f"folder     {facts['folder_bytes'] / 1e9:.3f} GB after {facts['sets']} sets; "

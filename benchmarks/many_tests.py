@@ -120,26 +120,26 @@ def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
         apis = [row["api"] for row in client.get("/api/v1/tests").raise_for_status().json()["items"]]
         assert len(apis) == tests
         steps["listed"] = served.use()
-        for time_told in ("once", "again"):
+        for repetition in ("once", "again"):
             for api in apis:
                 for path in OF_A_TEST:
                     client.get(f"{api}/{path}").raise_for_status()
-            steps[f"asked {time_told}"] = served.use()
+            steps[f"asked {repetition}"] = served.use()
             with ExitStack() as streams:
                 followed = []  # whoever lets go of what it reads by ends the stream
                 for api in apis:
                     answer = streams.enter_context(client.stream("GET", f"{api}/stream"))
                     followed.append(answer.raise_for_status().iter_raw())
                     next(followed[-1])
-                steps[f"followed {time_told}"] = served.use()
-            steps[f"left {time_told}"] = served.left_alone()
-    memory = {step: told["memory_bytes"] / 1e6 for step, told in steps.items()}
+                steps[f"followed {repetition}"] = served.use()
+            steps[f"left {repetition}"] = served.left_alone()
+    memory = {step: values["memory_bytes"] / 1e6 for step, values in steps.items()}
     return {
         "tests": tests,
         "sets": sets,
         "steps": {
-            step: {"memory_mb": round(memory[step], 1), "open": told["open"], "threads": told["threads"]}
-            for step, told in steps.items()
+            step: {"memory_mb": round(memory[step], 1), "open": values["open"], "threads": values["threads"]}
+            for step, values in steps.items()
         },
         "mb_a_followed_test": round((memory["followed once"] - memory["listed"]) / tests, 2),
         "mb_more_the_second_time": round(memory["followed again"] - memory["followed once"], 1),
@@ -160,8 +160,8 @@ def main() -> None:
     if options.json:
         print(json.dumps(found))
         return
-    for part, told in found.items():
-        for name, values in told.items() if isinstance(told, dict) else [("", told)]:
+    for part, results in found.items():
+        for name, values in results.items() if isinstance(results, dict) else [("", results)]:
             print(f"{part:<24}{name:<16}{values}")
 
 

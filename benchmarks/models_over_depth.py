@@ -125,8 +125,8 @@ def numbers(
     """Make a function of the depth that gives time of flight in us and amplitude ratio."""
     if size_m is not None:
         model = ShotModel(chain, plate, CorrosionParameters(size_m=size_m), step_s=step_s)
-        return lambda depth: told(model, depth)
-    return lambda depth: told(
+        return lambda depth: tof_and_ratio(model, depth)
+    return lambda depth: tof_and_ratio(
         ShotModel(
             chain,
             replace(plate, thickness_m=plate.thickness_m * (1.0 - depth)),
@@ -137,7 +137,7 @@ def numbers(
     )
 
 
-def told(model: ShotModel, depth: float) -> tuple[float, float]:
+def tof_and_ratio(model: ShotModel, depth: float) -> tuple[float, float]:
     """Time of flight in us and amplitude ratio of one shot."""
     pulses = summarise(model.shot(depth_fraction=depth))
     if pulses.tof_us is None or pulses.amplitude_ratio is None:

@@ -83,8 +83,8 @@ def main() -> int:
         differing.append("the datasets have other names")
     differing += [
         f"dataset {name}"
-        for (name, data, told), (_, other_data, other_told) in zip(held, other_held, strict=False)
-        if (data, told) != (other_data, other_told)
+        for (name, data, attributes), (_, other_data, other_attributes) in zip(held, other_held, strict=False)
+        if (data, attributes) != (other_data, other_attributes)
     ]
     n_rows = sum(map(len, tables.values()))
     facts = {"tables": len(tables), "rows": n_rows, "datasets": len(held), "differing": differing}

@@ -114,8 +114,8 @@ def main() -> int:
         print(f"{name}: {result['rows']:.0f} rows")
         for key, value in result.items():
             if key.endswith("_per_s"):
-                told = key.removesuffix("_per_s").replace("_", " ")
-                print(f"  {told:12s} {value:7.0f} a second, x {value / result['loop_per_s']:.2f}")
+                label = key.removesuffix("_per_s").replace("_", " ")
+                print(f"  {label:12s} {value:7.0f} a second, x {value / result['loop_per_s']:.2f}")
         print(f"  starting the processes takes {result['processes_start_s']:.1f} s")
     return 0
 

@@ -63,7 +63,7 @@ def line(hours: float) -> tuple[float, int]:
     def work() -> None:
         nonlocal strikes
         for position in POSITIONS:
-            strikes += sum(len(judged.shots) for judged in assessed_sets(settings, position, specimen))
+            strikes += sum(len(assessed.shots) for assessed in assessed_sets(settings, position, specimen))
 
     return cpu_seconds(work), strikes
 
@@ -103,25 +103,26 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     line_s, strikes = line(options.hours)
-    told: dict[str, Any] = {"line_s": line_s, "strikes": strikes, "ratios": ratios()}
+    report: dict[str, Any] = {"line_s": line_s, "strikes": strikes, "ratios": ratios()}
     if options.demo:
         from demo_speed import RECORDER, run_in_a_process
 
-        told["demo_s"] = run_in_a_process(RECORDER, options.hours)["processor_s"]
-    passed = max(told["ratios"].values()) <= LIMIT
+        report["demo_s"] = run_in_a_process(RECORDER, options.hours)["processor_s"]
+    passed = max(report["ratios"].values()) <= LIMIT
     if options.json:
-        print(json.dumps({**told, "passed": passed}))
+        print(json.dumps({**report, "passed": passed}))
         return 0 if passed else 1
     print(
         f"shots to verdicts: {line_s:.2f} s of processor for {strikes} strikes, "
         f"{1e3 * line_s / strikes:.3f} ms each"
     )
-    for level, ratio in told["ratios"].items():
+    for level, ratio in report["ratios"].items():
         print(f"a shot at {level}: {ratio:.3f} of one without nuisance")
     if options.demo:
-        ratio = told["demo_s"] / line_s
+        ratio = report["demo_s"] / line_s
         print(
-            f"the demonstration's line with its twin's process: {told['demo_s']:.2f} s, {ratio:.2f} times it"
+            f"the demonstration's line with its twin's process: {report['demo_s']:.2f} s, "
+            f"{ratio:.2f} times it"
         )
     return 0 if passed else 1
 

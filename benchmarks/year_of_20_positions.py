@@ -134,7 +134,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     LiveFigure(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
 
 
-def _told(index: int, drawn: list[float]) -> dict[str, Any]:
+def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, Any]:
     """Give what a recorder says and remembers of a judged set beside its distance: 1.5 kB of columns."""
     change = tuple(1e-3 * drawn[k % len(drawn)] for k in range(len(COMPONENTS)))
     cause = Diagnosis(
@@ -168,11 +168,11 @@ def _add_set(
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
         own: dict[str, Any] = {"set_index": due.set_index, "position": position}
-        judged: dict[str, Any] = {**own, "due_h": due.due_h}
+        set_columns: dict[str, Any] = {**own, "due_h": due.due_h}
         missed = (due.set_index + number) % MISSED_EVERY == 0
         probe = place.method == "pulse_echo"
         extractor = ECHO_EXTRACTOR if probe else EXTRACTOR_VERSION
-        found: dict[str, Any] = {**judged, "extractor_version": extractor, "quality": "good"}
+        found: dict[str, Any] = {**set_columns, "extractor_version": extractor, "quality": "good"}
         n_planned = 1 if probe else settings.schedule.shots_per_set
         n_taken = 0 if missed else n_planned
         commit.sets.append(
@@ -193,7 +193,7 @@ def _add_set(
                 file_sha256=None if missed else f"{due.set_index:064x}",
             )
         )
-        _tell(commit, due, "sets", f"set_{commit.sets[-1].state}", commit.sets[-1])
+        _add_event(commit, due, "sets", f"set_{commit.sets[-1].state}", commit.sets[-1])
         for shot_index in range(n_taken):
             sequence += 1
             commit.shots.append(
@@ -219,16 +219,16 @@ def _add_set(
                 thickness_loss_m=6.35e-3 - wall_m, correlation_coefficient=0.98,
             )  # fmt: skip
             commit.thickness.append(read)
-            _tell(commit, due, "thickness", "thickness_read", read)
+            _add_event(commit, due, "thickness", "thickness_read", read)
             continue
         feature = _feature(found, values[number], n_taken)
         for shot_index in range(n_taken):
             shot = {**found, "shot_index": shot_index, "sequence": sequence - n_taken + 1 + shot_index}
             commit.features.append(_feature(shot, values[number], 1))
         commit.features.append(feature)
-        _tell(commit, due, "features", "set_features", feature)
+        _add_event(commit, due, "features", "set_features", feature)
         assessment = AssessmentRow(
-            **judged,
+            **set_columns,
             in_baseline=due.set_index < 48,
             distance_squared=5.0,
             limit_name="f_predictive",
@@ -236,17 +236,21 @@ def _add_set(
             limit_paper=12.1,
             outlier=None if due.set_index < 48 else False,
             contributions={"tof_pp_s": 1.0, "tof_ac_s": 1.0, "amplitude_ratio": 1.0},
-            **({} if due.set_index < 48 else _told(due.set_index, values[number].tolist())),
+            **(
+                {}
+                if due.set_index < 48
+                else _chart_and_diagnosis_columns(due.set_index, values[number].tolist())
+            ),
         )
         commit.assessments.append(assessment)
-        _tell(commit, due, "verdicts", "set_judged", assessment)
+        _add_event(commit, due, "verdicts", "set_judged", assessment)
     environment = EnvironmentRow(
         set_index=due.set_index, due_h=due.due_h, supply_state="on", supply_quality="good", supply_age_s=0.5,
         voltage_v=10.0, current_a=0.005, charge_coulomb=18.0 * due.due_h, climate_quality="good",
         temperature_c=21.5,
     )  # fmt: skip
     commit.environment.append(environment)
-    _tell(commit, due, "environment", "environment_read", environment)
+    _add_event(commit, due, "environment", "environment_read", environment)
     if due.set_index % ALARM_EVERY == 0:
         alarm = AlarmRow(
             position="P01", kind="no_data", family="device", severity="medium", raised_utc_ns=due.due_utc_ns,
@@ -254,7 +258,7 @@ def _add_set(
             raised_set_index=due.set_index, changed_utc_ns=due.due_utc_ns, message="2 sets running", proof={},
         )  # fmt: skip
         commit.alarms.append(alarm)
-        _tell(commit, due, "alarms", "alarm_raised", alarm)
+        _add_event(commit, due, "alarms", "alarm_raised", alarm)
     return sequence
 
 
@@ -269,7 +273,7 @@ def _feature(found: dict[str, Any], noise: Any, n_valid: int) -> FeatureRow:
     )  # fmt: skip
 
 
-def _tell(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) -> None:
+def _add_event(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) -> None:
     commit.events.append(
         EventRow(
             utc_ns=due.due_utc_ns,
@@ -334,16 +338,16 @@ class Seconds:
 
     wall: float
     cpu: float
-    told: str
+    call: str
 
 
 def _now() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
 
-def _since(began: tuple[float, float], told: str = "") -> Seconds:
+def _since(began: tuple[float, float], call: str = "") -> Seconds:
     wall, cpu = _now()
-    return Seconds(wall - began[0], cpu - began[1], told)
+    return Seconds(wall - began[0], cpu - began[1], call)
 
 
 def times_s(function: Callable[[], object], rounds: int) -> list[Seconds]:

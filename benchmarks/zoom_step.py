@@ -96,8 +96,8 @@ def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]
             and first <= other["ts"] < min(last, first + 1e3 * within_ms)
         ]
         until, total = 0, 0
-        for begun, ended in sorted(of_page):
-            total += max(0, ended - max(begun, until))
+        for started, ended in sorted(of_page):
+            total += max(0, ended - max(started, until))
             until = max(until, ended)
         taken.append(total / 1e3)
     return taken
@@ -173,12 +173,12 @@ def main() -> None:
     if chosen.json:
         print(json.dumps(found))
         return
-    for name, told in found.items():
+    for name, times in found.items():
         itself, last = (
-            f"median {told[f'{part}_median_ms']:.1f} ms, greatest {told[f'{part}_greatest_ms']:.1f} ms"
+            f"median {times[f'{part}_median_ms']:.1f} ms, greatest {times[f'{part}_greatest_ms']:.1f} ms"
             for part in ("step", "last_step")
         )
-        print(f"{name:<6}{told['steps']} steps, script of each: {itself}; with what it asks for: {last}")
+        print(f"{name:<6}{times['steps']} steps, script of each: {itself}; with what it asks for: {last}")
 
 
 if __name__ == "__main__":

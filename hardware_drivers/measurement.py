@@ -144,8 +144,8 @@ def purpose_of(set_index: int) -> Purpose:
 
 def in_order(set_index: int) -> tuple[int, int]:
     """Planned set, and which set beside the plan after it (0: none): sorts sets by time."""
-    beside, planned = divmod(set_index, PLANNED_SETS)
-    return planned, beside
+    unscheduled, planned = divmod(set_index, PLANNED_SETS)
+    return planned, unscheduled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -104,22 +104,22 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     ConfigurationError
         Nobody offers it, or as `Offer.load`.
     """
-    there = offers()
-    if name not in there:
+    known = offers()
+    if name not in known:
         raise ConfigurationError(
-            f"no installed package offers the kind {name!r}; there are: {_told(there.values())}; install the "
-            "package that offers it beside solimon (python -m pip install PACKAGE), or correct the name"
+            f"no installed package offers the kind {name!r}; there are: {_names_text(known.values())}; install "
+            "the package that offers it beside solimon (python -m pip install PACKAGE), or correct the name"
         )
-    return there[name].load(), there[name]
+    return known[name].load(), known[name]
 
 
-def _told(there: Iterable[Offer]) -> str:
+def _names_text(known: Iterable[Offer]) -> str:
     """Name the kinds; those of others with the package that they come from."""
-    told = []
-    for offer in there:
+    names = []
+    for offer in known:
         package = offer.distributions[0]
-        told.append(offer.name if package.startswith(f"{OURS} ") else f"{offer.name} ({package})")
-    return ", ".join(told) or f"none, not even those of {OURS} itself: install {OURS} again"
+        names.append(offer.name if package.startswith(f"{OURS} ") else f"{offer.name} ({package})")
+    return ", ".join(names) or f"none, not even those of {OURS} itself: install {OURS} again"
 
 
 def _distribution(entry_point: EntryPoint) -> str:

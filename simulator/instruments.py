@@ -45,11 +45,11 @@ StrikesAfter = Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Begun:
+class _PendingRecord:
     """A record under way: its place in the results of a group."""
 
     group: Future[list[Acquired | None]]
-    place: int
+    index: int
 
 
 class RecordsAhead:
@@ -79,7 +79,7 @@ class RecordsAhead:
         self._broken = False
         self._strikes_after = strikes_after
         self._planned: Iterator[list[TimedStrike]] = iter(())
-        self._pending: dict[TimedStrike, _Begun] = {}
+        self._pending: dict[TimedStrike, _PendingRecord] = {}
         # Positions that were passed over when they were due: retired ones, for all we know.
         self._passed_over: set[str] = set()
 
@@ -102,38 +102,38 @@ class RecordsAhead:
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
-        own = self._pending.pop(strike, None)
-        left: dict[TimedStrike, _Begun] = {}
+        pending = self._pending.pop(strike, None)
+        previous: dict[TimedStrike, _PendingRecord] = {}
         if expected[:1] != [strike]:
-            left, self._pending = self._pending, {}
+            previous, self._pending = self._pending, {}
             self._plan_from(key, utc_ns, [planned for planned, _ in expected], hour_h)
         while len(self._pending) + LARGEST_GROUP <= RECORDS_AHEAD:
             group = next(self._planned, None)
             if group is None:
                 break
-            self._pending |= self._begun(group, left)
-        if left:
-            wanted = {begun.group for begun in (own, *self._pending.values()) if begun is not None}
-            for dropped in {begun.group for begun in left.values()} - wanted:
+            self._pending |= self._submit(group, previous)
+        if previous:
+            wanted = {record.group for record in (pending, *self._pending.values()) if record is not None}
+            for dropped in {record.group for record in previous.values()} - wanted:
                 dropped.cancel()
-        if own is not None:
-            error = own.group.exception()
+        if pending is not None:
+            error = pending.group.exception()
             if error is None:
-                return own.group.result()[own.place]
+                return pending.group.result()[pending.index]
             if isinstance(error, BrokenExecutor):
                 raise error
             log.warning("a group of records failed, so each is computed by its reader: %s", error)
         return self._specimen.solitary_wave(*strike)
 
-    def _begun(
-        self, group: Sequence[TimedStrike], left: dict[TimedStrike, _Begun]
-    ) -> dict[TimedStrike, _Begun]:
-        """Take the strikes of a group that are under way out of ``left`` and begin the others."""
-        new = [strike for strike in group if strike not in left]
+    def _submit(
+        self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
+    ) -> dict[TimedStrike, _PendingRecord]:
+        """Take the strikes of a group that are under way out of ``previous`` and begin the others."""
+        new = [strike for strike in group if strike not in previous]
         if new:
             future = self._executor.submit(self._compute, new)
-            left |= {strike: _Begun(future, place) for place, strike in enumerate(new)}
-        return {strike: left.pop(strike) for strike in group}
+            previous |= {strike: _PendingRecord(future, index) for index, strike in enumerate(new)}
+        return {strike: previous.pop(strike) for strike in group}
 
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]

@@ -77,7 +77,7 @@ def bins_of_sets(
     worst = np.asarray(quality, dtype=np.float64)
     bins["n_sets"], bins["worst_quality"] = np.isfinite(worst), np.where(np.isfinite(worst), worst, -np.inf)
     bins["n_missed"], bins["n_in_baseline"], bins["n_alarms"] = missed, in_baseline, n_alarms
-    beyond, beyond_paper = (np.asarray(told, dtype=np.float64) for told in (outlier, outlier_paper))
+    beyond, beyond_paper = (np.asarray(flags, dtype=np.float64) for flags in (outlier, outlier_paper))
     bins["n_judged"], bins["n_outliers"] = np.isfinite(beyond), beyond == 1.0
     bins["n_judged_paper"], bins["n_outliers_paper"] = np.isfinite(beyond_paper), beyond_paper == 1.0
     bins["first_outlier"] = np.where(beyond == 1.0, index, np.inf)

@@ -41,7 +41,7 @@ class DefaultLimit:
     mean: FloatArray
     residuals: Baseline
     limit: float
-    because: str
+    reason: str
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
@@ -88,6 +88,6 @@ def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL
         mean=baseline.mean,
         residuals=residuals,
         limit=allowing if heavy else plain,
-        because=f"{memory}, {'heavy tails: left-out limit' if heavy else 'F limit'}",
+        reason=f"{memory}, {'heavy tails: left-out limit' if heavy else 'F limit'}",
         tail=allowing / plain,
     )

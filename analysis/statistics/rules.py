@@ -76,8 +76,8 @@ def decides(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.
     """
-    judged = [outlier for outlier in outliers if outlier is not None]
-    counts = [sum(judged[first : first + rule.n]) for first in range(len(judged) - rule.n + 1)]
+    assessed = [outlier for outlier in outliers if outlier is not None]
+    counts = [sum(assessed[first : first + rule.n]) for first in range(len(assessed) - rule.n + 1)]
     return any(count >= rule.k or count <= rule.off_at_most for count in counts)
 
 

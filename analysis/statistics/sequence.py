@@ -121,7 +121,7 @@ def assess(
         return Assessed(refused="every feature is constant in the baseline", features_dropped=dropped)
     try:
         least = np.sort(np.broadcast_to(least_phi, varies.shape))[::-1][: len(names)]
-        return _judged(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
+        return _assess(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)
 
@@ -147,7 +147,7 @@ def _varies(baseline: FloatArray) -> np.ndarray:
     return np.asarray((spread > SMALLEST_SD * size) | ~present.any(axis=0))
 
 
-def _judged(
+def _assess(
     measured: FloatArray,
     healthy: np.ndarray,
     names: Sequence[str],
@@ -174,12 +174,12 @@ def _judged(
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
     design = design_of(history, baseline, budget.run_length, least_phi=least_phi)
     followed = np.where((healthy | after)[:, None], x, np.nan)
-    judged = np.flatnonzero(after)
-    entering = design.chart.whitened(followed)[judged]
+    assessed = np.flatnonzero(after)
+    entering = design.chart.whitened(followed)[assessed]
     statistic, onsets = design.chart.run(entering)
     statistics = {
-        **_statistics(x, followed, complete, judged, design),
-        CHART: _placed(len(x), judged, statistic),
+        **_statistics(x, followed, complete, assessed, design),
+        CHART: _placed(len(x), assessed, statistic),
     }
     limits = {name: limit for name, limit in design.limits.items() if name != CHART}
     beyond = {
@@ -198,17 +198,17 @@ def _judged(
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
-        default_reason=design.by_default.because,
-        onsets=tuple(int(judged[row]) for row in onsets),
+        default_reason=design.by_default.reason,
+        onsets=tuple(int(assessed[row]) for row in onsets),
         why_not_guaranteed=design.why_not_guaranteed,
         chart_limit=design.chart.limit,
         distances_squared=statistics[DISTANCE],
         mewma_textbook=statistics[AVERAGE],
-        mcusum_textbook=_placed(len(x), judged, mcusum(_whitened(x[judged], baseline)))
+        mcusum_textbook=_placed(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
         if textbooks
         else np.empty(0),
         chart=statistics[CHART],
-        unbroken=_placed(len(x), judged, replace(design.chart, limit=np.inf).run(entering)[0]),
+        unbroken=_placed(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 
@@ -237,7 +237,7 @@ def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequenc
 
 
 def _statistics(
-    x: FloatArray, followed: FloatArray, complete: np.ndarray, judged: np.ndarray, design: Design
+    x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
     """Statistics of all rows by name, but for the chart's; ``followed`` has the baseline's and later ones."""
     baseline, by_default = design.baseline, design.by_default
@@ -245,7 +245,7 @@ def _statistics(
     return {
         DISTANCE: distances,
         PREWHITENED: by_default.distances_squared(followed) if by_default.phi else distances,
-        AVERAGE: _placed(len(x), judged, mewma(_whitened(x[judged], baseline))),
+        AVERAGE: _placed(len(x), assessed, mewma(_whitened(x[assessed], baseline))),
     }
 
 
@@ -260,7 +260,7 @@ def _placed(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
 
 
 def _left_out(complete: np.ndarray, healthy: np.ndarray, after: np.ndarray) -> tuple[tuple[int, str], ...]:
-    told = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
+    missing = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
     between = np.flatnonzero(complete & ~healthy & ~after)
-    told += [(int(row), "not of the baseline, and before its end: no chart") for row in between]
-    return tuple(sorted(told))
+    missing += [(int(row), "not of the baseline, and before its end: no chart") for row in between]
+    return tuple(sorted(missing))

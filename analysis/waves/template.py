@@ -156,8 +156,8 @@ def compared_with_others(shots: Sequence[ShotFeatures], template: Template | Non
     }
     outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
     foreign = unlike_others(outlines, tofs_s) | closed_up(outlines, tofs_s)
-    for flag, told in ((DISTURBED, foreign), ("clipped", flattened(outlines, tofs_s) & ~foreign)):
-        for index in compress(seen, told):
+    for flag, flagged in ((DISTURBED, foreign), ("clipped", flattened(outlines, tofs_s) & ~foreign)):
+        for index in compress(seen, flagged):
             found[index] = graded(found[index], {*found[index].flags, flag})
     return found
 

@@ -47,7 +47,7 @@ def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
         "named": [
             {"kind": one.kind, "set_indices": [indices[row] for row in one.rows]} for one in named or ()
         ],
-        "default_because": design.by_default.because,
+        "default_because": design.by_default.reason,
         "false_alarms_per_sensor_year": rules.false_alarms_per_sensor_year,
         "rate_guaranteed": not design.why_not_guaranteed,
         "why_not_guaranteed": design.why_not_guaranteed or None,

@@ -86,18 +86,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Tell suite by suite how many rules were kept, and each broken one by its name."""
-    told: dict[str, dict[str, list[str]]] = {}
+    rules_by_suite: dict[str, dict[str, list[str]]] = {}
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.getreports(outcome):
             suite = dict(getattr(report, "user_properties", ())).get("solimon_suite")
             if suite is not None:
-                rules = told.setdefault(str(suite), {}).setdefault(outcome, [])
+                rules = rules_by_suite.setdefault(str(suite), {}).setdefault(outcome, [])
                 rules.append(_rule(report.nodeid))
-    if not told:
+    if not rules_by_suite:
         return
     chosen = config.stash[CHOSEN]
     terminalreporter.section(f"solimon's rules: {chosen.offer.name}, {chosen.offer.distributions[0]}")
-    for suite, by_outcome in told.items():
+    for suite, by_outcome in rules_by_suite.items():
         broken = [*by_outcome.get("failed", []), *by_outcome.get("error", [])]
         untried = len(by_outcome.get("skipped", []))
         counts = f"{suite}: {len(by_outcome.get('passed', []))} kept, {len(broken)} broken"

@@ -68,12 +68,12 @@ class SafetyContract:
     def test_calls_fail_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        told = {}
+        errors = {}
         with _lost(open_kind) as opened, _failing(bench, fault):
             for name, call in _calls(opened, opening):
-                told[name] = _error_of(name, call)
-        assert any(told.values()), (
-            f"no call told of the fault {fault!r}: {', '.join(told) or 'none was made'}"
+                errors[name] = _error_of(name, call)
+        assert any(errors.values()), (
+            f"no call told of the fault {fault!r}: {', '.join(errors) or 'none was made'}"
         )
 
     def test_after_an_error_nothing_is_armed(

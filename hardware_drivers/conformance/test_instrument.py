@@ -165,9 +165,9 @@ class TestDigitizer(OnTheBench, DigitizerContract):
             elif kind is chosen.kind:
                 striker = opened.striker
             else:
-                told = TypeAdapter(kind.parameters).validate_python(table)
-                beside = replace(opening, serves={"striker": (keys[0].position,)})
-                striker = stack.enter_context(kind.open(told, beside)).striker
+                parameters = TypeAdapter(kind.parameters).validate_python(table)
+                striker_opening = replace(opening, serves={"striker": (keys[0].position,)})
+                striker = stack.enter_context(kind.open(parameters, striker_opening)).striker
             assert striker is not None
             yield striker.strike
 
@@ -222,15 +222,15 @@ class TestSupply(OnTheBench, PowerSupplyContract):
     @pytest.fixture
     def caps(self, bench: Bench) -> Order:
         """Return what the double's configuration refuses."""
-        return _told_by_the_double(bench.caps)
+        return _require_double(bench.caps)
 
     @pytest.fixture
     def order(self, bench: Bench) -> Order:
         """Return what may be ordered of the double."""
-        return _told_by_the_double(bench.order)
+        return _require_double(bench.order)
 
 
-def _told_by_the_double(order: Order | None) -> Order:
+def _require_double(order: Order | None) -> Order:
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order

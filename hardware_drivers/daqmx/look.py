@@ -46,10 +46,10 @@ def findings(
         found.append(_server(parameters.grpc_address))
         if found[-1].state == "fail":
             return found
-    looked = survey(parameters)
-    if looked.driver_version:
-        found.append(_driver(looked.driver_version))
-    found += [_told(finding, looked, parameters) for finding in looked.findings]
+    facts = survey(parameters)
+    if facts.driver_version:
+        found.append(_driver(facts.driver_version))
+    found += [_finding_of_board(finding, facts, parameters) for finding in facts.findings]
     found += [_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs]
     if parameters.all_watchdogs:
         found += _unwatched(parameters)
@@ -100,7 +100,7 @@ def _driver(text: str) -> Finding:
     )
 
 
-def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
+def _finding_of_board(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
     state, remedy = finding.state, finding.remedy
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
     kind, _, which = finding.subject.partition(" ")
@@ -110,7 +110,7 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Findi
     detail = finding.detail
     if kind == "transducer":
         if "as asked" in detail:
-            detail = f"{detail}: {_asked(parameters, which, finding.check)}"
+            detail = f"{detail}: {_settings_text(parameters, which, finding.check)}"
         if finding.check == "noise":
             level_v = parameters.trigger_level_v
             values = {"noise_rms_v": found.noise_rms_v.get(which), "trigger_level_v": level_v}
@@ -141,7 +141,7 @@ def _facts(board: BoardFacts | None) -> dict[str, float | str | bool | None]:
     return {name: getattr(board, name) for name in BOARD_FACTS}
 
 
-def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
+def _settings_text(parameters: DaqmxParameters, position: str, check: str) -> str:
     """Say in words what the board agreed to."""
     wiring = parameters.transducers[position]
     if check == "trigger":

@@ -80,34 +80,36 @@ class Survey:
 
 def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
     """Look at driver and boards before anything is wired; errors become findings."""
-    nobody = {"": TransducerWiring(board_serial="0")}
-    look = _Look(DaqmxParameters(transducers=nobody, transport=transport, grpc_address=grpc_address))
-    connection = look.reached()
+    no_wiring = {"": TransducerWiring(board_serial="0")}
+    visit = _BoardSurvey(
+        DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address)
+    )
+    connection = visit.reached()
     if connection is not None:
         try:
-            look.at_installed(connection)
+            visit.at_installed(connection)
         finally:
             connection.close()
-    look.end()
-    return look.result()
+    visit.end()
+    return visit.result()
 
 
 def survey(parameters: DaqmxParameters) -> Survey:
     """Look at driver, boards and every transducer's wiring without striking; errors become findings."""
-    look = _Look(parameters)
-    connection = look.reached()
+    visit = _BoardSurvey(parameters)
+    connection = visit.reached()
     if connection is not None:
         try:
-            look.at_boards(connection)
+            visit.at_boards(connection)
             for position in parameters.transducers:
-                look.at_transducer(connection, position)
+                visit.at_transducer(connection, position)
         finally:
             connection.close()
-    look.end()
-    return look.result()
+    visit.end()
+    return visit.result()
 
 
-class _Look:
+class _BoardSurvey:
     """Findings as they come in."""
 
     def __init__(self, parameters: DaqmxParameters) -> None:

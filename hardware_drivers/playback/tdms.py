@@ -233,7 +233,7 @@ def _records_of_file(
     channels = read_channels(path, wanted)
     if not matched and by_name:
         named = shots_by_name(unmatched, by_name, mapping, name)
-        matched |= {place: {**from_file.groupdict(), **told} for place, told in named.items()}
+        matched |= {place: {**from_file.groupdict(), **parts} for place, parts in named.items()}
         channels = read_channels(path, lambda group, channel: (group, channel) in matched)
     others += [f"{name}/{group}/{channel}" for group, channel in unmatched if (group, channel) not in matched]
     for channel in channels:

@@ -56,13 +56,13 @@ def shots_by_name(
         twin = of_shot.setdefault((position, number), name)
         if others or twin != name:
             names = ", ".join(sorted(name for _, name in channels))
-            told = (
+            indices = (
                 f"channel {name!r} is shot {shot} of {position!r}, or of {others[0][0]!r}"
                 if others
                 else f"channels {twin!r} and {name!r} are both shot {number} of {position!r}"
             )
             raise ConfigurationError(
-                f"{file}, group {group!r}: {told}; its channels are: {names}; say which it is by "
+                f"{file}, group {group!r}: {indices}; its channels are: {names}; say which it is by "
                 "channel_pattern with (?P<position>...) and (?P<shot>...), or by rename"
             )
         found[group, name] = {"position": position, "shot": shot}

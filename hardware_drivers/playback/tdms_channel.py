@@ -206,8 +206,8 @@ def _volts_polynomial(
     if unit.casefold() in _VOLT:
         return scaling
     if mapping.volts_per_unit is None:
-        said = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
-        raise channel.refuse(f"{said}, V is needed", "give volts_per_unit")
+        unit_text = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
+        raise channel.refuse(f"{unit_text}, V is needed", "give volts_per_unit")
     return scaling * mapping.volts_per_unit
 
 

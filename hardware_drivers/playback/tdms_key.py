@@ -23,7 +23,7 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     ConfigurationError
         No position; a property is missing; a number is none, or below the first.
     """
-    told: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
+    values: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
     for part in ("position", "set", "shot"):
         property_name = getattr(mapping, f"{part}_property")
         if property_name:
@@ -32,12 +32,12 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
                     f"the property {property_name!r} that tells the {part} is missing",
                     f"correct {part}_property, or leave the channel out of the patterns",
                 )
-            told[part] = channel.properties[property_name]
-    position = str(told["position"] if told["position"] is not None else mapping.position)
+            values[part] = channel.properties[property_name]
+    position = str(values["position"] if values["position"] is not None else mapping.position)
     if not position:
         raise channel.refuse("nothing names the position", "correct the patterns")
     firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
-    indices = {part: _index(channel, part, told[part], first) for part, first in firsts.items()}
+    indices = {part: _index(channel, part, values[part], first) for part, first in firsts.items()}
     return ShotKey(
         position=mapping.rename.get(position, position),
         set_index=indices["set"],
@@ -46,19 +46,19 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     )
 
 
-def _index(channel: Channel, part: str, told: Any, first: int) -> int:
+def _index(channel: Channel, part: str, values: Any, first: int) -> int:
     """Index from 0; what is not told is 0."""
-    if told is None:
+    if values is None:
         return 0
     try:
-        number = int(told)
+        number = int(values)
     except (TypeError, ValueError) as error:
         raise channel.refuse(
-            f"the {part} is called {told!r}, which is no whole number", f"correct what names the {part}"
+            f"the {part} is called {values!r}, which is no whole number", f"correct what names the {part}"
         ) from error
-    if number < first or number != float(told):
+    if number < first or number != float(values):
         raise channel.refuse(
-            f"the {part} has the number {told}; whole numbers count from {first}",
+            f"the {part} has the number {values}; whole numbers count from {first}",
             f"correct first_{part}" if part != "attempt" else "correct the pattern",
         )
     return number - first

@@ -65,7 +65,7 @@ def channel_records(
     mapping: TdmsMapping,
     *,
     pretrigger_s: float | None,
-    rails_told: bool,
+    rails_marked: bool,
     unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
     """Find the channels of numbers.
@@ -90,7 +90,7 @@ def channel_records(
         if channel.dtype.kind not in "fiu":
             continue
         own = mapping
-        if rails_told and channel.dtype == np.int32:
+        if rails_marked and channel.dtype == np.int32:
             own = replace(own, resolution_bits=32)
         unit = str(channel.properties.get(mapping.unit_property, "")).strip()
         if unitless_are_volts and channel.dtype.kind == "f" and not unit:

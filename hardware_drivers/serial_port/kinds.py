@@ -44,8 +44,8 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
 
 
 def _identified(subject: str, identity: Mapping[str, str]) -> Finding:
-    told = ", ".join(identity.values())
-    return Finding(subject=subject, check="identity", state="ok", detail=told, values=dict(identity))
+    detail = ", ".join(identity.values())
+    return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 
 
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
@@ -57,20 +57,20 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
         try:
             yield _identified(subject, supply.identity())
             check = "read-back"
-            told = supply.read_back(parameters.read_timeout_s)
-            tripped, unknown = str(told["tripped"]), str(told["protection_unknown"])
+            settings = supply.read_back(parameters.read_timeout_s)
+            tripped, unknown = str(settings["tripped"]), str(settings["protection_unknown"])
             yield Finding(
                 subject=subject,
                 check=check,
                 state="fail" if tripped else "warn" if unknown else "ok",
-                detail=f"set to {told['set_voltage_v']:g} V, limit {told['set_current_limit_a']:g} A, output "
-                f"{told['output']}"
+                detail=f"set to {settings['set_voltage_v']:g} V, limit {settings['set_current_limit_a']:g} A, "
+                f"output {settings['output']}"
                 + (f"; protection tripped: {tripped}" if tripped else "")
                 + (f"; {unknown}" if unknown else ""),
                 remedy="find the cause, then clear the protection at the instrument"
                 if tripped
                 else "look at the instrument's own display after it has gone off by itself",
-                values=dict(told),
+                values=dict(settings),
             )
             check = "output"
             reading = supply.read(parameters.read_timeout_s)

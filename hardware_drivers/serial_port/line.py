@@ -335,12 +335,12 @@ class SerialLine:
                 raise self._lost(f"answered {_shown(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
-        said = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
-        if mask and said.isdecimal():
-            return bool(int(said) & mask)
-        if not mask and said in {"1", "+1", "ON", "YES"}:
+        state_text = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
+        if mask and state_text.isdecimal():
+            return bool(int(state_text) & mask)
+        if not mask and state_text in {"1", "+1", "ON", "YES"}:
             return True
-        if not mask and said in {"0", "+0", "OFF", "NO"}:
+        if not mask and state_text in {"0", "+0", "OFF", "NO"}:
             return False
         raise self._lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 

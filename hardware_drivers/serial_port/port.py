@@ -109,9 +109,9 @@ class TcpPort:
         self._socket.close()
 
     def _received(self, size: int) -> bytes:
-        if not (said := self._socket.recv(size)):
+        if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
-        return said
+        return data
 
 
 def open_port(parameters: SerialLineParameters) -> Port:

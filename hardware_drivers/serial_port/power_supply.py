@@ -211,10 +211,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             if command:
                 self._line.send(command)
                 self._require_no_error(f"take {command}", deadline_s)
-        told = self._number(level.read, deadline_s)
-        if abs(told - value) > tolerance:
+        actual = self._number(level.read, deadline_s)
+        if abs(actual - value) > tolerance:
             raise ConfigurationError(
-                f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
+                f"{self._line.name} was set to {value:g} {unit} and reads back {actual:g} {unit}: more "
                 f"than {tolerance:g} {unit} off; check its range and its lock"
             )
         if level.enabled is not None and not self._flag(level.enabled, deadline_s):

@@ -144,12 +144,12 @@ def lie(
     A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
     empty, a handle belongs to no task.
     """
-    told = outputs(entry, arguments.get("attribute", 0))
-    if not told:
+    parameters = outputs(entry, arguments.get("attribute", 0))
+    if not parameters:
         return {}
     values = dict(answer())
     counts = ("samps_per_chan_read", "samps_read")
-    for parameter in told:
+    for parameter in parameters:
         if parameter.name not in values:
             continue
         if parameter.name in counts:

@@ -60,12 +60,12 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
     A set beside the plan remembers what the next planned one does, and has an innovation of its own: planned
     sets stay what they are without it.
     """
-    planned, beside = in_order(set_index)
-    block, first = divmod(planned + bool(beside), LAGS)
+    planned, unscheduled = in_order(set_index)
+    block, first = divmod(planned + bool(unscheduled), LAGS)
     recent = np.concatenate(
         [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
-    if beside:
+    if unscheduled:
         key = ShotKey(position=position, set_index=set_index, shot_index=0)
         recent[-1] = unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],))
     return np.asarray((weights * recent).sum(axis=0))

@@ -63,13 +63,13 @@ def driven_modes(
     standard, _ = lapack.dsygst(mass.T, upper, itype=1, lower=0, overwrite_a=1)
     size = len(upper)
     # Less work space than LAPACK asks for means smaller blocks, which are faster at this size.
-    _, diagonal, beside, _, _ = lapack.dsytrd(standard, lower=0, lwork=8 * size, overwrite_a=1)
+    _, diagonal, off_diagonal, _, _ = lapack.dsytrd(standard, lower=0, lwork=8 * size, overwrite_a=1)
     scale = float(np.max(np.abs(diagonal)))
     eigenvalues = diagonal[size - steps :] / scale
-    beside = np.append(beside[size - steps :] / scale, 0.0)
+    off_diagonal = np.append(off_diagonal[size - steps :] / scale, 0.0)
     along = np.zeros(steps)
     along[-1] = 1.0
-    if not (math.isfinite(scale) and _tridiagonal_ql(eigenvalues, beside, along)):
+    if not (math.isfinite(scale) and _tridiagonal_ql(eigenvalues, off_diagonal, along)):
         raise np.linalg.LinAlgError("an eigenvalue of the reduced plate was not found")
     seen = eigenvalues > ROUNDING
     if not seen.any() or eigenvalues.min() < -ROUNDING:

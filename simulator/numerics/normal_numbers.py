@@ -31,13 +31,13 @@ def standard_normals(random: np.random.Generator, n: int) -> Table:
     bits = random.bit_generator
     if not isinstance(bits, np.random.SFC64):
         return random.standard_normal(n, dtype=np.float32)
-    told: Any = bits.state
+    state: Any = bits.state
     words = np.empty(6, dtype=np.uint64)
-    words[:4], words[4], words[5] = told["state"]["state"], told["has_uint32"], told["uinteger"]
+    words[:4], words[4], words[5] = state["state"]["state"], state["has_uint32"], state["uinteger"]
     drawn = np.empty(n, dtype=np.float32)
     _draw(words, *_layers(), drawn)
-    told["state"]["state"], told["has_uint32"], told["uinteger"] = words[:4], int(words[4]), int(words[5])
-    bits.state = told
+    state["state"]["state"], state["has_uint32"], state["uinteger"] = words[:4], int(words[4]), int(words[5])
+    bits.state = state
     return drawn
 
 

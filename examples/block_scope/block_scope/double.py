@@ -120,8 +120,8 @@ class ScopeDouble:
         """Write a text about the unit."""
         status = self._status(handle)
         if status is Status.OK:
-            told = INFO[what].encode("ascii")[: length - 1] + b"\0"
-            ctypes.memmove(text, told, len(told))
+            text_bytes = INFO[what].encode("ascii")[: length - 1] + b"\0"
+            ctypes.memmove(text, text_bytes, len(text_bytes))
         return status
 
     def bs_maximum_value(self, handle: int, value: Any) -> int:

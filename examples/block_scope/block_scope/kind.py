@@ -147,10 +147,10 @@ def _open(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Opened
         unit.timebase(parameters.sample_rate_hz)
         digitizer = BlockScopeDigitizer(unit, parameters)
         identity = {
-            "model": unit.told(api.MODEL),
-            "serial": unit.told(api.SERIAL),
-            "library_version": unit.told(api.LIBRARY_VERSION),
-            "calibrated": unit.told(api.CALIBRATION_DATE),
+            "model": unit.info(api.MODEL),
+            "serial": unit.info(api.SERIAL),
+            "library_version": unit.info(api.LIBRARY_VERSION),
+            "calibrated": unit.info(api.CALIBRATION_DATE),
         }
         try:
             yield Opened(digitizer=digitizer, identity=identity)
@@ -163,7 +163,7 @@ def _check(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Findi
     subject = f"oscilloscope {parameters.serial}".strip()
     try:
         with _opened_unit(parameters) as unit:
-            detail = f"{unit.told(api.MODEL)}, serial number {unit.told(api.SERIAL)}"
+            detail = f"{unit.info(api.MODEL)}, serial number {unit.info(api.SERIAL)}"
             yield Finding(subject=subject, check="answers", state="ok", detail=detail)
             unit.timebase(parameters.sample_rate_hz)
     except InstrumentError as error:

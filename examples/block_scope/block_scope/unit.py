@@ -77,7 +77,7 @@ class Unit:
             if status != Status.OK:
                 log.warning("closing the oscilloscope: status %#x", status)
 
-    def told(self, what: int) -> str:
+    def info(self, what: int) -> str:
         """Ask for a text about the unit."""
         text = create_string_buffer(80)
         self._call("bs_get_unit_info", text, len(text), what)
@@ -86,12 +86,12 @@ class Unit:
     def timebase(self, sample_rate_hz: float) -> int:
         """Find the timebase of a rate; one that the unit would round is refused."""
         interval_ns = 1e9 / sample_rate_hz
-        number, told_ns = max(0, round(interval_ns / 10.0) - 1), pointer(c_int32())
-        self._call("bs_get_timebase", number, told_ns)
-        if abs(told_ns.contents.value - interval_ns) > 1e-6 * interval_ns:
+        number, actual_ns = max(0, round(interval_ns / 10.0) - 1), pointer(c_int32())
+        self._call("bs_get_timebase", number, actual_ns)
+        if abs(actual_ns.contents.value - interval_ns) > 1e-6 * interval_ns:
             raise ConfigurationError(
                 f"sample_rate_hz is {sample_rate_hz:g}; the nearest of this oscilloscope is "
-                f"{1e9 / told_ns.contents.value:g}"
+                f"{1e9 / actual_ns.contents.value:g}"
             )
         return number
 
@@ -157,5 +157,5 @@ class Unit:
         kind, remedy = ERRORS.get(Status(code), CORRECT) if known else UNKNOWN
         if kind is ConnectionLostError:
             self.close()
-        said = Status(code).name if known else f"status {code:#x}"
-        raise kind(f"oscilloscope {self._serial or '(any)'}: {what} says {said}; {remedy}")
+        status_text = Status(code).name if known else f"status {code:#x}"
+        raise kind(f"oscilloscope {self._serial or '(any)'}: {what} says {status_text}; {remedy}")

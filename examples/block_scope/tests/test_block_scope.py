@@ -59,7 +59,7 @@ def test_volts_are_those_at_the_input_within_half_a_code(scope, bits):
     assert not waveform.clipped
 
 
-def test_a_wave_beyond_the_range_is_told_and_clipped(scope):
+def test_a_wave_that_exceeds_the_range_is_clipped_and_reported(scope):
     with opened(range_v=2.0) as its:
         acquired = take(its.digitizer, scope, pulse_v(peak_v=3.0))
     assert acquired.waveform.clipped
@@ -73,7 +73,7 @@ def test_a_falling_slope_takes_the_other_sign(scope):
     assert acquired.waveform.volts()[999] > -0.25
 
 
-def test_after_it_was_unplugged_the_next_shot_opens_it_anew(scope):
+def test_the_next_shot_opens_the_unit_again_after_it_was_unplugged(scope):
     with opened() as its:
         first = take(its.digitizer, scope, pulse_v())
         its.digitizer.arm(KEY)
@@ -111,7 +111,7 @@ def test_a_unit_still_at_work_is_busy(scope):
             its.digitizer.arm(KEY)
 
 
-def test_a_status_that_nobody_knows_is_told_as_it_came(scope):
+def test_the_error_shows_the_code_of_an_unknown_status(scope):
     with opened() as its, patch.object(scope, "bs_run_block", lambda *arguments: 0x1234):
         with pytest.raises(ConfigurationError, match="status 0x1234"):
             its.digitizer.arm(KEY)
@@ -167,8 +167,8 @@ def test_a_rate_that_would_be_rounded_is_refused(scope):
         ({"channels": {}}, "channels"),
     ],
 )
-def test_parameters_that_do_not_fit_each_other_are_refused(given, told):
-    with pytest.raises(ValidationError, match=told):
+def test_parameters_that_do_not_fit_each_other_are_refused(given, message):
+    with pytest.raises(ValidationError, match=message):
         BlockScopeParameters(**{"channels": {"B": "A"}, **given})
 
 

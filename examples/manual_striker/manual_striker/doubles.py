@@ -67,9 +67,9 @@ class PortDouble:
         """Take a line; it comes back before its answer."""
         self._require_cable()
         text = line.decode("ascii").rstrip("\r")
-        told = self._board.answer(text)
+        response = self._board.answer(text)
         answers = {"silent": b"", "garbage": b"\xff\x81\x00\x7f\n\r>"}
-        self._received += answers.get(self._board.fault, f"{text}\n\r{told}\n\r>".encode("ascii"))
+        self._received += answers.get(self._board.fault, f"{text}\n\r{response}\n\r>".encode("ascii"))
         return len(line)
 
     def read_until(self, end: bytes) -> bytes:

@@ -78,9 +78,9 @@ class RelayBoard:
 
     def _switch(self, number: int, state: str) -> None:
         self._ask(f"relay {state} {number}")
-        told = self._ask(f"relay read {number}")
-        if told != state:
-            raise ConnectionLostError(f"relay {number} says {told!r} instead of {state!r}; {CABLE}")
+        actual = self._ask(f"relay read {number}")
+        if actual != state:
+            raise ConnectionLostError(f"relay {number} says {actual!r} instead of {state!r}; {CABLE}")
 
     def _ask(self, command: str) -> str:
         """Send a line and give what stands between its echo and the prompt."""

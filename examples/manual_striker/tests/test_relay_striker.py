@@ -87,7 +87,7 @@ def test_a_lost_answer_to_on_still_ends_in_off(slept, board, monkeypatch):
     assert board.switchings == [("C", True), ("C", False)]
 
 
-def test_a_relay_that_stays_on_is_told_with_what_to_pull(slept, board, monkeypatch):
+def test_the_error_names_the_plug_to_pull_when_a_relay_stays_on(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match=r"relay 1 may be on .* pull the coils' plug"):
         with KIND.open(PARAMETERS, OPENING) as its:

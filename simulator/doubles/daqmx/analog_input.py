@@ -129,7 +129,7 @@ class AnalogInput:
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
         """Sample from now on, or from the start trigger on."""
-        task.begun += 1
+        task.n_starts += 1
         if task.device.parameters.simulated:
             codes = counts_of(_made_up_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
@@ -165,7 +165,7 @@ def _made_up_volts(task: Task) -> FloatArray:
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
     """
-    random = np.random.default_rng([task.channel.number, task.begun])
+    random = np.random.default_rng([task.channel.number, task.n_starts])
     samples = np.arange(record_samples(task))
     sine = np.sin(2.0 * np.pi * samples / SINE_SAMPLES + 2.0 * np.pi * random.random())
     noise = random.uniform(-SINE_NOISE, SINE_NOISE, samples.size)
@@ -334,7 +334,7 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     adc = replace(
         _adc(task, SMALLEST_RECORD, level_v), record_samples=looked_at + record_samples(task) - pretrigger
     )
-    key = ShotKey(position=position, set_index=0, shot_index=task.begun)
+    key = ShotKey(position=position, set_index=0, shot_index=task.n_starts)
     volts = bench.strikes.free_volts(key, first_ns, adc, task.channel.calibration)
     at: int = rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
     if at < 0:
@@ -352,7 +352,7 @@ def recorded(bench: Bench, task: Task) -> Counts | None:
         return run.codes
     channel: InputChannel = task.channel
     place = _position(bench, channel) or channel.physical_name
-    key = ShotKey(position=place, set_index=0, shot_index=task.begun)
+    key = ShotKey(position=place, set_index=0, shot_index=task.n_starts)
     adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
     volts = bench.strikes.free_volts(key, run.begin_ns, adc, channel.calibration)
     run.codes = counts_of(volts, channel.calibration)

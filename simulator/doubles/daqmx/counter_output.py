@@ -92,7 +92,7 @@ class CounterOutput:
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
                 raise Status(WATCHDOG_EXPIRED, task=task.name)
-        task.begun += 1
+        task.n_starts += 1
         task.run = Generation(begin_ns=None if waits_for(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)

@@ -101,7 +101,7 @@ class Task:
     resume: TaskState = TaskState.VERIFIED
     run: Any = None
     lost: int = 0
-    begun: int = 0
+    n_starts: int = 0
     verified: bool = False
 
     @property
@@ -384,7 +384,7 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         `expired` at the deadline; -88710 and the like if the board goes away meanwhile.
     """
     deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * NS_PER_S)
-    begun = task.begun
+    n_starts = task.n_starts
     while not is_done(bench, task):
         now_ns = bench.clock.now_ns()
         if deadline_ns is not None and now_ns >= deadline_ns:
@@ -394,5 +394,5 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         bench.clock.wait(bench.changed, min(moments) if moments else None)
         if task.lost:
             raise_lost(task)
-        if task.handle not in bench.tasks or task.begun != begun:
+        if task.handle not in bench.tasks or task.n_starts != n_starts:
             raise Status(statuses.DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)

@@ -82,7 +82,7 @@ class Watchdog:
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
         """Arm the timer."""
-        task.begun += 1
+        task.n_starts += 1
         task.run = Countdown(begin_ns=now_ns, timeout_s=task.settings["Watchdog.Timeout"])
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:

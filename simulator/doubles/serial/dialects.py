@@ -33,7 +33,7 @@ class AimTtiSupply(Supply):
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
-    def _tell(self, question: str) -> str | None:
+    def _answer(self, question: str) -> str | None:
         if question == "*IDN?":
             return self.identity
         if question == "EER?":
@@ -112,12 +112,12 @@ class RigolSupply(Supply):
             error = self._obey(header, argument)
             self._errors += [] if error is None else [error]
             return None
-        said = self._say(header, argument)
-        if said is None:
+        response = self._answer_question(header, argument)
+        if response is None:
             self._errors.append(UNDEFINED)
-        return said
+        return response
 
-    def _say(self, question: str, channel: str) -> str | None:
+    def _answer_question(self, question: str, channel: str) -> str | None:
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":

@@ -219,13 +219,13 @@ class SerialLink:
     def _hear(self) -> None:
         assert self._terminal is not None, "only heard while plugged in"
         try:
-            said = os.read(self._terminal[0], 4096)
+            data = os.read(self._terminal[0], 4096)
         except ConnectionError:
-            said = b""
-        if not said:  # only a socket has another end that can go
+            data = b""
+        if not data:  # only a socket has another end that can go
             self._hang_up()
             return
-        commands, self._received = self._framing.split(self._received + said)
+        commands, self._received = self._framing.split(self._received + data)
         for line in commands:
             command = line.decode("ascii", errors="replace").strip()
             self._heard.append((time.monotonic_ns(), command))

@@ -130,13 +130,13 @@ class Supply:
         """Obey one command; questions are answered, others are not."""
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
-            return self._tell(header)
+            return self._answer(header)
         error = self._obey(header, argument.strip())
         if error is not None:
             self._errors.append(error)
         return None
 
-    def _tell(self, question: str) -> str | None:
+    def _answer(self, question: str) -> str | None:
         match question:
             case "*IDN?":
                 return self.identity

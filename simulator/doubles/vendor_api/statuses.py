@@ -114,5 +114,5 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
 
 def unfit(task: str, name: str, detail: str = "", *, code: int = INVALID_VALUE, **values: object) -> Status:
     """Refuse a property's value: what was ``requested``, ``minimum`` and ``maximum``, as NI words them."""
-    told = [f"{word.title()} Value: {value}" for word, value in values.items()]
-    return Status(code, "\n".join([f"Property: {name}", *told, *filter(None, [detail])]), task=task)
+    value_lines = [f"{word.title()} Value: {value}" for word, value in values.items()]
+    return Status(code, "\n".join([f"Property: {name}", *value_lines, *filter(None, [detail])]), task=task)

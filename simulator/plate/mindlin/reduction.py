@@ -87,8 +87,8 @@ def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: Flo
     def mass(x: FloatArray) -> FloatArray:
         return np.asarray(matrix @ x if liquid is None else matrix @ x + liquid @ x)
 
-    diagonal, beside = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
-    inverse, shapes = linalg.eigh_tridiagonal(diagonal, beside, check_finite=False)
+    diagonal, off_diagonal = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
+    inverse, shapes = linalg.eigh_tridiagonal(diagonal, off_diagonal, check_finite=False)
     participation = (vectors @ plate.load) @ shapes
     # The eigenvalues are 1 / (omega^2 + sigma^2): this is the root of a mode's flexibility at sigma.
     return np.asarray(shapes * (participation * np.sqrt(np.abs(inverse))))
