@@ -107,8 +107,9 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     known = offers()
     if name not in known:
         raise ConfigurationError(
-            f"no installed package offers the kind {name!r}; there are: {_names_text(known.values())}; install "
-            "the package that offers it beside solimon (python -m pip install PACKAGE), or correct the name"
+            f"no installed package offers the kind {name!r}; there are: "
+            f"{_names_text(known.values())}; install the package that offers it beside solimon "
+            "(python -m pip install PACKAGE), or correct the name"
         )
     return known[name].load(), known[name]
 

@@ -1,4 +1,4 @@
-"""What may have happened to a transducer, each as a signature: a mean change of the features and its scatter.
+"""Hypotheses on what happened to a transducer: each a mean change of the features and its scatter.
 
 Amounts are mixtures over a wide grid, so that a cause is known by its direction, or its curve, and not by a
 size that somebody guessed. Slopes are those of one model (`slopes`); that others differ is in the scatter.
@@ -58,7 +58,7 @@ TRIED_DEPTHS = np.geomspace(0.0025, DEPTHS[-1], 18)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis:
-    """One cause with one size.
+    """Hypothesis of one cause with one size.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Hypothesis:
 
 
 def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
-    """List them all.
+    """Return all hypotheses.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> 
 
 
 def _walls() -> Iterator[Signature]:
-    """Every depth under either patch: a wall has a sign, and follows a curve."""
+    """Return hypotheses for every depth under either patch: a wall has a sign and follows a curve."""
     for patch in (WALL_B, WALL_C):
         curve = np.vstack([np.zeros(len(patch[0])), patch])
         for depth in TRIED_DEPTHS:
@@ -130,7 +130,7 @@ def _walls() -> Iterator[Signature]:
 
 
 def _spread(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Every size of sources that act to either side."""
+    """Return hypotheses for every size of sources that act in either direction."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance
@@ -143,7 +143,10 @@ def _of(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
 
 
 def _sensor() -> list[FloatArray]:
-    """Give each source alone, since one part fails at a time: gain, striker, tilt, wear of all contacts."""
+    """Return each sensor source alone, since one part fails at a time.
+
+    Gain, striker, tilt, wear of all contacts.
+    """
     gain = np.array(GAIN)
     wear = 0.5 * np.sum(STIFFNESS, axis=0)  # A goes with the root of the radius
     return [
@@ -155,7 +158,10 @@ def _sensor() -> list[FloatArray]:
 
 
 def _coupling() -> list[FloatArray]:
-    """Give the foot of the chain alone, and a chain that sits anew in all its contacts, tilt and height."""
+    """Return the sources of coupling.
+
+    The foot of the chain alone, or a re-seated chain with tilt and height.
+    """
     foot = [(STIFFNESS[-1], USUAL_STIFFNESS), (DAMPING[-1], USUAL_DAMPING)]
     everywhere = [(slope, USUAL_STIFFNESS) for slope in STIFFNESS]
     everywhere += [(slope, USUAL_DAMPING) for slope in DAMPING]
@@ -164,7 +170,7 @@ def _coupling() -> list[FloatArray]:
 
 
 def _environment() -> FloatArray:
-    """Give what a change of temperature does through modulus, PZT and striker's guide."""
+    """Return the effect of a temperature change through modulus, PZT and the striker's guide."""
     return _of(
         [
             ([1e-3 * slope for slope in MODULUS_K], USUAL_K),

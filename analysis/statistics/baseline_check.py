@@ -1,4 +1,4 @@
-"""What may be wrong with sets offered as a baseline: gross ones, a group that is off alike, a trend.
+"""Baseline check: gross outliers, a group of sets with a common offset, a trend.
 
 Mean and covariance of all sets hide a group: it widens the covariance along itself. So a core of sets is
 sought whose covariance is least (the minimum covariance determinant), and grown by whatever fits it. The core
@@ -41,7 +41,7 @@ Kind = Literal["outlier", "group", "trend"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Named:
-    """Something of a baseline that a person should look at before approving it.
+    """Anomaly of a baseline that a person should check before approval.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Named:
 
 
 def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
-    """Name what stands out of the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
+    """Find anomalies in the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
     x = np.asarray(vectors, dtype=np.float64)
     found: list[Named] = []
     near, core = grown_cores(x)
@@ -76,7 +76,7 @@ def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
 
 
 def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Tell which sets are as near to the rest as most healthy ones, and which fit it; shape (n,) each.
+    """Find the sets as near to the rest as most healthy ones, and those that fit it; shape (n,) each.
 
     The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
     sets or many features it is known too badly.
@@ -93,7 +93,9 @@ def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
-    """Squared distances from a core that holds the nearest part ``kept`` of healthy sets, shape (n,).
+    """Return squared distances from a core that holds the nearest fraction ``kept`` of healthy sets.
+
+    Shape (n,).
 
     Its covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
     """
@@ -103,7 +105,10 @@ def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
 
 
 def _least_determinant(x: FloatArray) -> np.ndarray:
-    """Find the part of the sets with the least covariance: random starts, concentrated (Rousseeuw 1999)."""
+    """Find the subset with the minimum covariance determinant.
+
+    Random starts, concentrated (Rousseeuw 1999).
+    """
     n, p = x.shape
     size = max(math.ceil(CORE * n), p + 2)
     rng = np.random.default_rng(n * 1000 + p)  # the same sets always give the same names
@@ -124,14 +129,14 @@ def _least_determinant(x: FloatArray) -> np.ndarray:
 
 
 def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
-    """All sets in units of the core's scatter, shape (n, p)."""
+    """Return all sets in units of the core's scatter, shape (n, p)."""
     mean = x[core].mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 
 def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
-    """Find those outside that are off alike: nearer to their middle than that is to the core."""
+    """Find outlying sets with a common offset: nearer to their centre than that is to the core."""
     if outside.size < fewest:
         return outside[:0]
     middle = np.median(whitened[outside], axis=0)
@@ -140,7 +145,7 @@ def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray
 
 
 def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
-    """Chance of such a trend over the rows in sets without one, by Hotelling's test of the slopes.
+    """Return the chance of such a trend over the rows without one, by Hotelling's test of the slopes.
 
     Memory lets healthy sets wander: the slopes' variance is (1 + phi)/(1 - phi) times that of independent
     ones.

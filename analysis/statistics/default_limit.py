@@ -1,4 +1,4 @@
-"""The limit of the squared distance that the baseline's own memory and tails ask for.
+"""Default limit of the squared distance, chosen from the baseline's autocorrelation and tails.
 
 Where the sets remember one another, the distance is that of what is new in each; where the tails are heavy,
 the limit allows for them. Else it is the plain F limit.
@@ -21,7 +21,7 @@ from analysis.waves.record_reduction import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DefaultLimit:
-    """What the data chose.
+    """Limit chosen from the data, with the reason.
 
     Attributes
     ----------
@@ -45,14 +45,17 @@ class DefaultLimit:
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
-        """Squared distances of sets that begin with the baseline, shape (n, p); NaN at and for gaps."""
+        """Return squared distances of sets that start with the baseline, shape (n, p).
+
+        NaN at and for gaps.
+        """
         new = prewhitened(vectors, self.mean, self.phi) if self.phi else vectors
         known = np.asarray(np.isfinite(new).all(axis=1))
         distances = distance_squared(np.where(known[:, None], new, 0.0), self.residuals)
         return np.asarray(np.where(known, distances, np.nan))
 
     def distance_squared_after(self, vector: FloatArray, before: FloatArray, distance: int) -> float:
-        """Squared distance of one set, shape (p,), ``distance`` sets after the last complete one."""
+        """Return the squared distance of a set, shape (p,), ``distance`` sets after the last complete one."""
         new = vector
         if self.phi:
             new = innovation(vector - self.mean, before - self.mean, distance, self.phi)
@@ -60,7 +63,7 @@ class DefaultLimit:
 
 
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
-    """Choose the limit by the data.
+    """Choose the limit from the data.
 
     Parameters
     ----------

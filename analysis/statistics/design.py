@@ -1,4 +1,4 @@
-"""Everything that a frozen baseline gives to judge later sets by, and one step after another.
+"""Design of a frozen baseline: limits and chart for later sets, and the recursion from set to set.
 
 `sequence` judges a whole table at once by the same design; a test compares the two.
 """
@@ -26,7 +26,7 @@ DAYS_PER_YEAR = 365.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """False alarms that a healthy sensor may raise.
+    """Design false-alarm budget of a healthy sensor.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Budget:
 
     @property
     def run_length(self) -> float:
-        """Sets from one false alarm to the next, on average."""
+        """Return the average number of sets between two false alarms."""
         return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
 
 
@@ -51,7 +51,7 @@ ONE_IN_FIVE_YEARS = Budget()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Design:
-    """What a baseline gives.
+    """Limits and chart of one baseline.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def design_of(
     rate: float = NOMINAL_RATE,
     least_phi: ArrayLike = 0.0,
 ) -> Design:
-    """Design limits and chart.
+    """Design limits and chart of a baseline.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def design_of(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
-    """What the next set is judged with beside the design.
+    """State with which the next set is assessed.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Memory:
 
 
 def at_the_end_of(baseline: Baseline, last: FloatArray) -> Memory:
-    """Memory before the first set after a baseline, whose last complete set is ``last``."""
+    """Return the state before the first set after a baseline, whose last complete set is ``last``."""
     zero = (0.0,) * baseline.p
     return Memory(
         index=baseline.set_indices[-1],
@@ -139,7 +139,7 @@ def at_the_end_of(baseline: Baseline, last: FloatArray) -> Memory:
 def next_memory(
     memory: Memory, design: Design, index: int, vector: FloatArray
 ) -> tuple[Memory, dict[str, float]]:
-    """Judge one more complete set, shape (p,): the statistics by name, and what is remembered of it."""
+    """Assess one more complete set, shape (p,): return the statistics by name and the next state."""
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
@@ -163,12 +163,15 @@ def next_memory(
 
 
 def parts_of(average: FloatArray) -> FloatArray:
-    """Parts of the features in a chart's statistic, (2 - weight)/weight |z|^2; shape (p,)."""
+    """Return the contribution of each feature to a chart's statistic, (2 - weight)/weight |z|^2.
+
+    Shape (p,).
+    """
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 
 def next_alarming(alarming: bool, statistic: float, limit: float, p: int) -> bool:
-    """Tell whether the chart's alarm is on: from beyond the limit until the statistic is back at p.
+    """Return whether the chart alarm is on: from above the limit until the statistic is back at p.
 
     p is its mean while the sensor is healthy, so the chart goes on as one that has begun anew: an alarm that
     ends at the limit itself would come and go, each time beyond the budget.

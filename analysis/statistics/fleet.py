@@ -1,4 +1,4 @@
-"""Many sensors at once: what they share is weather, and of the alarms raised only a known part is false.
+"""Assessment of many sensors at once: shared changes, and alarms with a bounded false discovery rate.
 
 A budget for each sensor lets the false alarms grow with the number of sensors. Over a period the chance of
 each chart's highest value in a healthy sensor is known, so the false discovery rate of those raised can be
@@ -58,7 +58,9 @@ def _limits(n: int, p: int) -> FloatArray:
 
 
 def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
-    """Chance that a healthy sensor's chart rises as high within a period, after each set; never rising.
+    """Return the chance, after each set, that a healthy sensor's chart rises so high.
+
+    It never rises in a period.
 
     Parameters
     ----------
@@ -75,7 +77,9 @@ def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatAr
 
 
 def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
-    """Set at which each sensor is raised (None: never); at most ``rate`` of those are healthy, on average.
+    """Return the set at which each sensor is raised (None: never).
+
+    At most ``rate`` of them are healthy on average.
 
     Parameters
     ----------
@@ -95,7 +99,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
 
 
 def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Give deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
+    """Return deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
 
     A feature that is constant, or never known, in the baseline has SD 1 and no deviation (NaN).
     """
@@ -110,7 +114,7 @@ def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray
 
 
 def shared_deviation(deviations: ArrayLike) -> FloatArray:
-    """Median over the sensors of each feature's deviation from its baseline, shape (sets, p).
+    """Return the median over the sensors of each feature's deviation from its baseline, shape (sets, p).
 
     Parameters
     ----------
@@ -129,7 +133,7 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
 
 
 def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Median over the sensors of the memory along their directions, shape (p,), falling.
+    """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
     One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
     raised first of all. No feature has more memory than the first direction.
@@ -148,7 +152,7 @@ def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
 
 
 def usual_tails(baselines: Sequence[FloatArray]) -> float:
-    """Mean over the sensors of the kurtosis of their baselines, 1 for normal sets and at least.
+    """Return the mean over the sensors of the kurtosis of their baselines, at least 1 (normal sets).
 
     Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
     E[d^4]/(p (p + 2)), d the Mahalanobis distance (Mardia 1970; for elliptical distributions).
@@ -173,7 +177,7 @@ def _kurtosis(x: FloatArray) -> float | None:
 
 
 def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int) -> tuple[Shared, ...]:
-    """Name the sets in which the average of what is shared is no chance of independent sensors.
+    """Find the sets in which the shared average is too large for independent sensors.
 
     Parameters
     ----------
@@ -199,7 +203,9 @@ def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int
 
 
 def alike(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Mean squared correlation of the features, shape (p, p): that of the errors of their SD, if normal.
+    """Return the mean squared correlation of the features, shape (p, p).
+
+    That of their SD's errors, if normal.
 
     Parameters
     ----------
@@ -212,7 +218,7 @@ def alike(baselines: Sequence[FloatArray]) -> FloatArray:
 
 
 def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple[float, float, float]:
-    """Gain of a sensor to what all share: 1 where it moves as the median does.
+    """Return the gain of a sensor to the shared change: 1 where it moves as the median does.
 
     Parameters
     ----------
@@ -240,7 +246,9 @@ def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple
 
 
 def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n: int, tails: float) -> float:
-    """Shift in SD that sensors keep of what all share, three scaled deviations from the median gain.
+    """Return the residual shift in SD without the shared change.
+
+    Three scaled deviations from the median gain.
 
     What sets and the SD of a baseline scatter by makes healthy sensors of equal gains unlike, too; that is
     taken off: n sets show an SD to sqrt((kurtosis - 1)/(4 n)), widened by memory.

@@ -1,4 +1,4 @@
-"""A whole sequence of sets judged at once, baseline first: every limit and chart by name, and what to doubt.
+"""Assessment of a complete sequence of sets, baseline first: every limit and chart by name, and warnings.
 
 What the recorder decides set by set is said here of a table that is complete; nothing is learned after the
 baseline.
@@ -30,7 +30,7 @@ SMALLEST_SD = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Assessed:
-    """What a sequence says; rows count from 0, the baseline's included.
+    """Assessment of a sequence; rows count from 0, the baseline's included.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ def assess(
     textbooks: bool = True,
     least_phi: ArrayLike = 0.0,
 ) -> Assessed:
-    """Judge a sequence.
+    """Assess a sequence of sets.
 
     Parameters
     ----------
@@ -127,7 +127,10 @@ def assess(
 
 
 def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
-    """Columns over powers of two near their size: no digit of an answer changes, and no square overflows."""
+    """Divide columns by powers of two near their size.
+
+    No digit of a result changes, and no square overflows.
+    """
     size = np.abs(np.where(healthy[:, None] & np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
     _, exponent = np.frexp(size)
     with np.errstate(over="ignore"):  # a set that is so far off stays far off
@@ -213,7 +216,7 @@ def _assess(
 
 
 def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]) -> tuple[Named, ...]:
-    """Name what stands out of the baseline, or refuse it where next to one value the rest is none."""
+    """Find anomalies of the baseline, or raise where the rest is negligible next to one value."""
     middle = np.quantile(measured, 0.5, axis=0, method="lower")
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         away = np.abs(measured - middle)
@@ -239,7 +242,10 @@ def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequenc
 def _statistics(
     x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
-    """Statistics of all rows by name, but for the chart's; ``followed`` has the baseline's and later ones."""
+    """Return all rows' statistics by name, except the chart's.
+
+    ``followed`` has the baseline's and later rows.
+    """
     baseline, by_default = design.baseline, design.by_default
     distances = np.where(complete, distance_squared(np.where(complete[:, None], x, 0.0), baseline), np.nan)
     return {

@@ -1,4 +1,4 @@
-"""Shots whose wave was changed on its way into the record: tops made lower, samples closed up.
+"""Distorted shots: tops made lower by an amplifier, samples lost without a gap.
 
 One wall sends back one shape, so both show beside the set's median outline, by the pattern that they leave in
 the difference from it: small ones that no distance between records tells from scatter (`outline`).
@@ -47,13 +47,13 @@ ROWS_AT_ONCE = 64
 
 
 def is_one_wall(tofs_s: FloatArray) -> bool:
-    """Whether eight of ten shots came within `ONE_WALL_S`."""
+    """Check whether eight of ten shots arrive within `ONE_WALL_S`."""
     ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
 def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell whose top is lower than its flanks say, shape (n,): an amplifier was near its end.
+    """Find shots whose top is lower than their flanks imply, shape (n,): an amplifier near its end.
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
     which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
@@ -79,13 +79,13 @@ def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
 
 
 def _middle(points: FloatArray) -> FloatArray:
-    """Median of the shots that hold all points; NaN without one."""
+    """Return the median of the shots that hold all points; NaN without one."""
     held = points[np.isfinite(points).all(axis=1)]
     return column_medians(held) if len(held) else np.full(points.shape[1], np.nan)
 
 
 def _slope(wave: FloatArray) -> FloatArray:
-    """Change from point to point, shape (n,) with n >= 2: `numpy.gradient` without what it checks."""
+    """Return the change from point to point, shape (n,), n >= 2: `numpy.gradient` without its checks."""
     slope = np.empty(wave.size)
     slope[1:-1] = (wave[2:] - wave[:-2]) / 2.0
     slope[0], slope[-1] = wave[1] - wave[0], wave[-1] - wave[-2]
@@ -93,7 +93,7 @@ def _slope(wave: FloatArray) -> FloatArray:
 
 
 def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Columns by which a sound shot may differ from the middle: arrival of each wave, width of all."""
+    """Return columns of normal variation of a sound shot: arrival of each wave, width of all."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
@@ -104,7 +104,7 @@ def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
 
 
 def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
+    """Return least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
@@ -127,7 +127,7 @@ def _lowered(
 
 
 def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell which have lost samples after the reflected wave's top, shape (n,).
+    """Find shots that lost samples after the reflected wave's top, shape (n,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
     of the difference from it. Only shots of one wall are compared.
@@ -153,7 +153,7 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
 
 
 def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
-    """Look for a cut of each length behind each point; arrays below are (shots, lengths, points)."""
+    """Search for a cut of each length after each point; arrays below are (shots, lengths, points)."""
     least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)
     later = place + SHIFTS[:, None]

@@ -140,7 +140,7 @@ class ShotFeatures:
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
-        """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
+        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`."""
         return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
@@ -149,7 +149,7 @@ class ShotFeatures:
 
 
 def graded(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
-    """Give a shot its flags, in the order of `FLAGS`, and what follows from them."""
+    """Set a shot's flags, in the order of `FLAGS`, and the values that follow from them."""
     return replace(shot, **_grade(found))
 
 
@@ -194,7 +194,7 @@ class SetFeatures:
 
 
 def extract_features(waveform: Waveform, settings: ExtractionSettings = ExtractionSettings()) -> ShotFeatures:  # noqa: B008 frozen, so a shared default is safe
-    """Features of one shot.
+    """Return the features of one shot.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def extract_all(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> list[ShotFeatures]:
-    """Features of each of many shots, to the last bit those that it has alone.
+    """Return the features of each of many shots, bit-identical to those of each alone.
 
     One step after the other for all of them costs less than one shot after the other: a processor that
     repeats itself has at hand what it needs.
@@ -233,7 +233,7 @@ def extract_from_average(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> ShotFeatures:
-    """Features of the mean of a set's records (the paper's way), clipped if any of them is.
+    """Return the features of the mean of a set's records (the paper's way), clipped if any of them is.
 
     The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
 
@@ -270,7 +270,7 @@ def extract_from_volts(
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
     with_sd: bool = False,
 ) -> ShotFeatures:
-    """Features of a record given as volts, shape (n_samples,); see `extract_features`.
+    """Return the features of a record in volts, shape (n_samples,); see `extract_features`.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 def _flags(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given
 ) -> tuple[set[str], float]:
-    """Give a shot's flags, and `ShotFeatures.pull_fraction`."""
+    """Return a shot's flags, and `ShotFeatures.pull_fraction`."""
     flags, pull = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz)
     return flags | {"clipped"} if given.clipped else flags, pull
 
@@ -363,7 +363,7 @@ def _flags_of_pulses(
 def _moved(
     record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
 ) -> tuple[set[str], float]:
-    """Look for what stands out of noise that gives a block mean the stated standard deviation."""
+    """Check for stretches that exceed noise with the stated standard deviation of a block mean."""
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
@@ -375,7 +375,7 @@ def _moved(
 
 
 def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
-    """Whether the record jumps at its trigger as no wave does, and whether it moves there at all.
+    """Check whether the record jumps at its trigger, and whether it moves there at all.
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
     a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
@@ -397,12 +397,12 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
 
 
 def _farthest(values: FloatArray) -> float:
-    """Largest distance from zero."""
+    """Return the largest distance from zero."""
     return max(float(values.max()), -float(values.min()))
 
 
 def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> dict[str, float]:
-    """Every feature that can be had."""
+    """Compute every available feature."""
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
     values: dict[str, float] = {}
     if isw is None:
@@ -430,7 +430,7 @@ def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSetting
 
 
 def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
-    """Integral of the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
+    """Integrate the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
     n = record.blocks_v.size
     first = min(max(record.index(centre_s - half_width_s) + 0.5, 0.0), float(n))
     last = min(max(record.index(centre_s + half_width_s) + 0.5, 0.0), float(n))
@@ -446,7 +446,7 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
 def _autocorrelated(
     record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Time of flight and coefficient by autocorrelation (module docstring); nothing where no PSW stands out.
+    """Return time of flight and coefficient by autocorrelation; empty where no PSW stands out.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
@@ -481,7 +481,7 @@ def _autocorrelated(
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Mean and standard deviation of the valid shots' features, of each without values far from the others.
+    """Return mean and standard deviation of the valid shots' features, without far outliers of each.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
     `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
@@ -532,7 +532,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
 
 
 def _without_far(table: FloatArray) -> FloatArray:
-    """Put NaN in the place of values far from their column's others."""
+    """Replace values far from the others of their column by NaN."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)
@@ -541,7 +541,7 @@ def _without_far(table: FloatArray) -> FloatArray:
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:
-    """Mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
+    """Return mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
     present = ~np.isnan(table)
     n = present.sum(axis=0)
     filled = np.where(present, table, 0.0)

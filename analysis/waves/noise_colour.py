@@ -1,4 +1,4 @@
-"""Colour of a record's noise: its variance and memory as slow as a wave and as fast as a sample.
+"""Colour of a record's noise: variance and correlation on the time scales of a wave and of a sample.
 
 Noise that an amplifier or a filter limits in band is like from sample to sample: differences between
 neighbours see little of it, means over a pulse all of it. So its power is read
@@ -43,7 +43,7 @@ rho between two of them adds, over rho^2 (second Hermite coefficient of |x| < me
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseColour:
-    """Variances in V^2.
+    """Variances of the noise in V^2.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class NoiseColour:
 
 
 def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
-    """Read the colour of a record's noise.
+    """Estimate the colour of a record's noise.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
 
 
 def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
-    """Give a block mean's standard deviation in white noise as strong as this is where it is strongest.
+    """Return the standard deviation of a block mean in white noise as strong as this is at its maximum.
 
     Of what stands in a few coefficients only, as a knock, a median sees nothing.
     """
@@ -120,7 +120,7 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
 
 
 def _quiet_before(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
-    """Count the blocks before the wave."""
+    """Count the quiet blocks before the wave."""
     before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
     return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
@@ -146,7 +146,7 @@ def _coloured(
 
 
 def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
-    """Variance of the median of n blocks on a level that rises to the wave's foot.
+    """Return the variance of the median of n blocks on a level that rises to the wave's foot.
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
     (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
@@ -158,14 +158,17 @@ def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
 
 
 def _by_chance(n: float) -> float:
-    """Mean square of n normal values of variance 1 that chance exceeds in 1 % (Wilson and Hilferty)."""
+    """Return the mean square of n unit normal values exceeded by chance in 1 % (Wilson and Hilferty)."""
     third = 2.0 / (9.0 * n)
     return (1.0 - third + CHANCE_SD * math.sqrt(third)) ** 3
 
 
 @lru_cache(maxsize=256)
 def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
-    """Orthonormal columns, shape (n, n): a constant, two of the wave's foot, cosines of rising frequency."""
+    """Return orthonormal columns, shape (n, n).
+
+    A constant, two of the wave's foot, cosines of rising frequency.
+    """
     place = np.arange(n)
     cosines = np.cos(np.pi * np.outer(place + 0.5, np.arange(1, n - N_LEVEL + 1)) / n)
     foot = np.exp(FOOT_RATE * (place - n) / fwhm_blocks)
@@ -175,7 +178,7 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
 
 
 def _memory(x: FloatArray, lags: int) -> float:
-    """Sum of squared autocorrelations of a zero-mean sequence over all lags, without what chance gives."""
+    """Return the sum of squared autocorrelations over all lags, without the chance part."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

@@ -1,4 +1,4 @@
-"""A record in a few dozen numbers, and shots whose record is unlike that of all others.
+"""Outline of a record in a few dozen numbers, and shots whose record is unlike that of all others.
 
 Corrosion changes the reflected wave from set to set; from strike to strike of one wall it stays, but for
 noise and what the contacts do. So a wave that no other shot resembles holds something foreign, and one that
@@ -50,7 +50,7 @@ ROWS_AT_ONCE = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline:
-    """A record's smoothed values around its waves, of the ISW's amplitude.
+    """Smoothed values of a record around its waves, relative to the ISW's amplitude.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Outline:
 
 
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
-    """Read a record at its points, linearly between blocks."""
+    """Sample a record at its outline points, linearly between blocks."""
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
     _read(record, isw, FROM_ISW, stride, points[:N_ISW])
     _read(record, psw, FROM_PSW, stride, points[N_ISW:])
@@ -87,7 +87,7 @@ def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: 
 
 
 def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell which shots no others resemble, or came earlier than all that they resemble, shape (n,).
+    """Find shots that no others resemble, or that arrived earlier than all similar ones, shape (n,).
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np
 
 
 def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
-    """Root mean square between some rows and each of the others, shape (n_parts, n_rows, n_others).
+    """Return the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
 
     It is inf to itself, and where one of both does not hold the part.
     """
@@ -130,7 +130,7 @@ def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> Float
 
 
 def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether a shot's wall is seen by others, too; corrosion changes what comes after the incident wave."""
+    """Check whether other shots show the same wall; corrosion changes the part after the incident wave."""
     ordered = np.sort(tofs_s)
     if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:
         return np.ones(tofs_s.size, dtype=bool)
@@ -142,7 +142,7 @@ def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.boo
 def _early(
     candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
-    """Give those whose reflected wave came before those like it, whose later half tells their scatter."""
+    """Find shots whose reflected wave came earlier than those of similar shots."""
     early = []
     for index in candidates.tolist():
         like_s = np.sort(tofs_s[others[alike[index]]])

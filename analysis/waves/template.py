@@ -1,4 +1,4 @@
-"""A shot beside its transducer's own waves: those of the frozen baseline, or of the other shots.
+"""Comparison of a shot with its transducer's own waves: those of the frozen baseline, or the other shots.
 
 Corrosion leaves the incident wave exactly as it was and only delays the reflected one. So a record whose
 incident wave is not the transducer's is none of its strikes, whatever follows in it.
@@ -66,7 +66,7 @@ LEARNT_FROM = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Template:
-    """A transducer's own waves.
+    """Typical waves of a transducer.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Template:
 
 
 def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Medians and other quantiles of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
+    """Compute medians and other quantiles of the valid shots; None for fewer than `FEWEST_SHOTS`."""
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -115,7 +115,7 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
 
 
 def _quantile(ordered: FloatArray, part: float) -> FloatArray:
-    """Quantile of each column of sorted numbers, linear between two: `numpy.quantile` takes a set's time."""
+    """Return a quantile of each column of sorted numbers, linear between two: `numpy.quantile` is slow."""
     place = part * (len(ordered) - 1)
     low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
     return np.asarray(low + (place % 1.0) * (high - low))
@@ -146,7 +146,7 @@ def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
 
 
 def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Compare shots of one transducer with its own waves, then with one another (`outline`, `distortion`)."""
+    """Compare shots of one transducer with its template, then with one another (`outline`, `distortion`)."""
     usual = None if template is None else template.amplitude_ratio
     found = [compared(shot, template) for shot in without_residue(shots, usual)]
     seen = {

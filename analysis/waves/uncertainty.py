@@ -1,4 +1,4 @@
-"""Standard deviation that a record's own noise gives each feature, propagated to first order.
+"""Standard deviation of each feature from the record's own noise, propagated to first order.
 
 With s the noise of a block mean in the band that an estimate takes in (`noise_colour`), n blocks in a window:
 
@@ -38,7 +38,7 @@ sech^2 1.88), itself."""
 def standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Give the standard deviation of each feature that there is.
+    """Return the standard deviation of each available feature.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def standard_deviations(
 
 
 def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
-    """Variances of time and height of a pulse's quartic."""
+    """Return the variances of time and height of a pulse's quartic."""
     u, inverse = pulse.top_place, _inverse(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
     slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
@@ -99,13 +99,13 @@ def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=1024)
 def _inverse(n: int) -> FloatArray:
-    """(X^T X)^-1 of the quartic on n points, shape (5, 5)."""
+    """Return (X^T X)^-1 of the quartic on n points, shape (5, 5)."""
     _, solver = quartic_design(n)
     return np.asarray(solver @ solver.T)
 
 
 def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float) -> float:
-    """Variance of a matched-filter time."""
+    """Return the variance of a matched-filter time."""
     if pulse.matched_curvature_v >= 0.0:
         return math.nan
     slope2 = s2 * _kernel_slope_energy(settings.kernel_width_s / record.step_s)
@@ -114,14 +114,14 @@ def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, 
 
 @lru_cache(maxsize=64)
 def _kernel_slope_energy(width_blocks: float) -> float:
-    """Sum of squares of the matched filter's central differences."""
+    """Return the sum of squares of the matched filter's central differences."""
     weights = np.pad(kernel(width_blocks), 2)
     slopes = 0.5 * (weights[2:] - weights[:-2])
     return float(slopes @ slopes)
 
 
 def _coefficient(record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour) -> float:
-    """Relative standard deviation of the autocorrelation coefficient."""
+    """Return the relative standard deviation of the autocorrelation coefficient."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
     of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)

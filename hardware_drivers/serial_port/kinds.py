@@ -57,20 +57,20 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
         try:
             yield _identified(subject, supply.identity())
             check = "read-back"
-            settings = supply.read_back(parameters.read_timeout_s)
-            tripped, unknown = str(settings["tripped"]), str(settings["protection_unknown"])
+            actual = supply.read_back(parameters.read_timeout_s)
+            tripped, unknown = str(actual["tripped"]), str(actual["protection_unknown"])
             yield Finding(
                 subject=subject,
                 check=check,
                 state="fail" if tripped else "warn" if unknown else "ok",
-                detail=f"set to {settings['set_voltage_v']:g} V, limit {settings['set_current_limit_a']:g} A, "
-                f"output {settings['output']}"
+                detail=f"set to {actual['set_voltage_v']:g} V, limit {actual['set_current_limit_a']:g} A, "
+                f"output {actual['output']}"
                 + (f"; protection tripped: {tripped}" if tripped else "")
                 + (f"; {unknown}" if unknown else ""),
                 remedy="find the cause, then clear the protection at the instrument"
                 if tripped
                 else "look at the instrument's own display after it has gone off by itself",
-                values=dict(settings),
+                values=dict(actual),
             )
             check = "output"
             reading = supply.read(parameters.read_timeout_s)
