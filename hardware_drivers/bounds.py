@@ -1,4 +1,4 @@
-"""Bounds of parameters, written once beside the value they bound.
+"""Bounds of parameters, written once next to the value they bound.
 
 The bounds are `annotated_types` metadata. A class decorated with `bounded` enforces them for callers in
 Python, and a configuration model that embeds it enforces the same ones while reading a file.
@@ -36,7 +36,7 @@ _resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
 def _bounds(parameters: type) -> dict[str, list[_Bound]]:
-    """Resolve the bounds of a class once: every shot with its own scatter checks them."""
+    """Return the bounds of a class, resolved once: every shot with its own scatter checks them."""
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
         _resolved[parameters] = {field.name: _of_hint(hints[field.name]) for field in fields(parameters)}
@@ -44,7 +44,7 @@ def _bounds(parameters: type) -> dict[str, list[_Bound]]:
 
 
 def _of_hint(hint: Any) -> list[_Bound]:
-    """Bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
+    """Return the bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
     marks = getattr(hint, "__metadata__", ())
     if not marks:
         marks = [mark for part in get_args(hint) for mark in getattr(part, "__metadata__", ())]
@@ -62,7 +62,7 @@ def check_bounds(parameters: Any) -> None:
 
 
 def check_values(parameters: type, values: Mapping[str, Any]) -> None:
-    """Raise as `check_bounds` does for values by name that could stand in such parameters."""
+    """Raise as `check_bounds` does for values by name, before the parameters are made."""
     bounds = _bounds(parameters)
     _check((name, bounds[name], value) for name, value in values.items())
 
@@ -95,7 +95,7 @@ def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
 def bounded(parameters: type[Parameters]) -> type[Parameters]:
-    """Make a frozen dataclass with slots and keywords whose values obey the bounds beside them.
+    """Make a frozen dataclass with slots and keywords whose values obey their bounds.
 
     What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
     own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys.

@@ -1,4 +1,4 @@
-"""Kinds of instruments that are installed here, found by their entry points; solimon's own are no exception.
+"""Installed kinds of instruments, found by their entry points; solimon's own included.
 
 Finding reads the metadata of installed distributions; only a kind that is asked for is imported.
 """
@@ -20,7 +20,7 @@ OURS = "solimon"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offer:
-    """A kind as distributions offer it, not imported yet.
+    """Kind as offered by distributions, not imported yet.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Offer:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """What it can be in a rig."""
+        """Return the roles it can have in a rig."""
         return tuple(self.by_role)
 
     def load(self) -> Kind[Any]:
@@ -77,13 +77,13 @@ class Offer:
 
 
 def offers() -> Mapping[str, Offer]:
-    """Every kind that is offered here, by its name."""
+    """Return every installed kind by its name."""
     return _offers(tuple(sys.path))
 
 
 @lru_cache(maxsize=1)
 def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
-    """Look once for a path: what is installed there stays while a process runs."""
+    """Return the kinds of a path, read once: installed packages stay while a process runs."""
     found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
     every = entry_points()
     for role in ROLES:
@@ -97,7 +97,7 @@ def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
 
 
 def find_kind(name: str) -> tuple[Kind[Any], Offer]:
-    """Give the kind of a name, and who offers it.
+    """Return the kind of a name, and its offer.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
 
 
 def _names_text(known: Iterable[Offer]) -> str:
-    """Name the kinds; those of others with the package that they come from."""
+    """Return the names of the kinds; those of others with their package."""
     names = []
     for offer in known:
         package = offer.distributions[0]

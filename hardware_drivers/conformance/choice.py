@@ -1,4 +1,4 @@
-"""Which instrument is proved, and how it is configured: what the options of the command say."""
+"""Choice of the instrument under test and its configuration, from the options of the command."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OF_POSITIONS: tuple[Role, ...] = ("digitizer", "striker", "pulse_echo")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chosen:
-    """One instrument, not opened.
+    """Instrument under test, not opened.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def choose(kind_name: str, file: Path | None) -> Chosen:
 
 
 def find_double(where: str) -> Double:
-    """Import what ``MODULE:NAME`` names.
+    """Import the object that ``MODULE:NAME`` names.
 
     Raises
     ------

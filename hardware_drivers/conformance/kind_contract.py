@@ -1,4 +1,4 @@
-"""What every kind of instrument must do before and around its roles: `KindContract`."""
+"""Rules for every kind of instrument, independent of its roles: `KindContract`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Open = Callable[[], AbstractContextManager[Opened]]
 
 
 class KindContract:
-    """Parameters that refuse what they do not know; opened, left and opened again."""
+    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again."""
 
     @pytest.fixture
     def kind(self) -> Kind[Any]:
@@ -53,12 +53,12 @@ class KindContract:
 
     @pytest.fixture
     def opening(self) -> Opening:
-        """Return what it is told when it is opened."""
+        """Return the opening of the instrument under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
-        """Return what opens the instrument."""
+        """Return a function that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     def test_unknown_parameters_are_refused(self, kind: Kind[Any], table: Mapping[str, Any]) -> None:
@@ -129,7 +129,7 @@ class KindContract:
 
 
 class _FailureAtTheRigError(Exception):
-    """Anything that goes wrong elsewhere while the instrument is open."""
+    """Any error elsewhere while the instrument is open."""
 
 
 def _plain(distribution: str) -> str:

@@ -1,4 +1,4 @@
-"""Plugin of pytest: options that name an instrument, and a summary of the rules that it kept or broke."""
+"""Plugin of pytest: options that name an instrument, and a summary of the rules that passed or failed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what `choice` and the suites ask for."""
+    """Add the options of `choice` and the suites."""
     group = parser.getgroup("solimon", "an instrument against solimon's rules")
     group.addoption("--solimon-kind", metavar="NAME", help="kind of instrument, as its entry points call it")
     group.addoption(
@@ -48,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Find what the options name before anything is collected."""
+    """Resolve the options before anything is collected."""
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
         return
@@ -63,13 +63,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Make one test of each way in which the double can fail."""
+    """Make one test of each fault that the double can inject."""
     if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
         metafunc.parametrize("fault", _faults(metafunc.config))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the suites of roles that the instrument does not have here; bound each rule."""
+    """Deselect the suites of roles that the instrument does not have; bound the time of each rule."""
     ours = [item for item in items if _suite(item) is not None]
     if not ours:
         return
@@ -85,7 +85,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Tell suite by suite how many rules were kept, and each broken one by its name."""
+    """Print for each suite how many rules passed, and each failed one by its name."""
     rules_by_suite: dict[str, dict[str, list[str]]] = {}
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.getreports(outcome):
@@ -116,18 +116,18 @@ def _faults(config: pytest.Config) -> tuple[str, ...]:
 
 
 def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
-    """Tell whether the instrument has the suite's role, and a double can fail where that is the rule."""
+    """Check whether the instrument has the suite's role, and a double for a rule that needs one."""
     if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
         return False
     return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
 
 
 def _suite(item: pytest.Item) -> str | None:
-    """Role whose suite a test belongs to, ``kind`` or ``safety``; None: no test of ours."""
+    """Return the role of a test's suite, ``kind`` or ``safety``; None: no test of solimon."""
     cls = getattr(item, "cls", None)
     return cls.suite if cls is not None and cls.__module__ == SUITES else None
 
 
 def _rule(nodeid: str) -> str:
-    """Tell the rule in words: the name of its test."""
+    """Return the rule in words: the name of its test."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

@@ -1,4 +1,4 @@
-"""What every power supply must do: inherit `PowerSupplyContract` and give its fixtures."""
+"""Rules for every power supply: inherit `PowerSupplyContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TIMEOUT_S = 10.0
 
 
 class PowerSupplyContract:
-    """Measure; switch off; on only by `energise`, within the caps."""
+    """Rules for a supply: it measures, switches off, and switches on only by `energise` within the caps."""
 
     @pytest.fixture
     def supply(self) -> PowerSupply:
@@ -24,12 +24,12 @@ class PowerSupplyContract:
 
     @pytest.fixture
     def caps(self) -> Order:
-        """Return the caps it was configured with: V and A."""
+        """Return the configured caps in V and A."""
         return 12.0, 2.0
 
     @pytest.fixture
     def order(self) -> Order:
-        """Voltage and limit within the caps, at which the load leaves the supply holding its voltage."""
+        """Return voltage and limit within the caps, at which the load does not reach the current limit."""
         return 8.0, 1.5
 
     def test_is_a_power_supply(self, supply: PowerSupply) -> None:

@@ -1,4 +1,4 @@
-"""What every pulse-echo unit must do: inherit `PulseEchoUnitContract` and give its fixtures."""
+"""Rules for every pulse-echo unit: inherit `PulseEchoUnitContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hardware_drivers.measurement import ShotKey
 
 
 class PulseEchoUnitContract(ShotContract):
-    """Fire, average, return."""
+    """Rules for a pulse-echo unit: fire, average, return."""
 
     @pytest.fixture
     def pulse_echo(self) -> PulseEchoUnit:
@@ -23,7 +23,7 @@ class PulseEchoUnitContract(ShotContract):
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Long enough for a record of all averages."""
+        """Return a timeout long enough for a record of all averages."""
         return 1.0
 
     def test_is_a_pulse_echo_unit(self, pulse_echo: PulseEchoUnit) -> None:

@@ -1,4 +1,4 @@
-"""What every kind must do when it is left in the middle, or its instrument fails: `SafetyContract`."""
+"""Rules for interruptions and failures of an instrument: `SafetyContract`."""
 
 from __future__ import annotations
 
@@ -24,26 +24,29 @@ Call = Callable[[], object]
 
 
 class SafetyContract:
-    """Errors are solimon's own; afterwards nothing is armed, every coil is off, and it opens again."""
+    """Rules for failures: errors are solimon's own.
+
+    Then nothing is armed, every coil is off, it opens again.
+    """
 
     @pytest.fixture
     def bench(self) -> Bench:
-        """Return what can make the instrument fail, and tells what its coils did."""
+        """Return the bench that injects faults and records what the coils did."""
         raise NotImplementedError
 
     @pytest.fixture
     def opening(self) -> Opening:
-        """Return what the instrument is told when it is opened."""
+        """Return the opening of the instrument under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def open_kind(self) -> Open:
-        """Return what opens the instrument."""
+        """Return a function that opens the instrument."""
         raise NotImplementedError
 
     @pytest.fixture
     def fault(self) -> str:
-        """Return how it fails."""
+        """Return the name of the fault to inject."""
         raise NotImplementedError
 
     def test_left_in_the_middle_it_is_safe(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
@@ -117,7 +120,7 @@ class SafetyContract:
 
 @contextmanager
 def _lost(open_kind: Open) -> Iterator[Opened]:
-    """Open what will fail: leaving it may tell of that."""
+    """Open an instrument that will fail: an error when it is closed is expected."""
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())
         with suppress(InstrumentError):
@@ -130,7 +133,7 @@ def _failing(bench: Bench, fault: str) -> Any:
 
 
 def _error_of(name: str, call: Call) -> InstrumentError | None:
-    """Make a call; an error that is not of `hardware_drivers.errors` breaks the rule."""
+    """Return the error of a call; one that is not of `hardware_drivers.errors` breaks the rule."""
     try:
         call()
     except InstrumentError as error:
@@ -149,7 +152,7 @@ def _key(role: Role, opening: Opening) -> ShotKey:
 def _calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
-    """Give the calls of every role that is asked of it, in the order of a shot; each by its name."""
+    """Return the calls of every requested role in the order of a shot, each with its name."""
     made: dict[str, list[Call]] = {
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }

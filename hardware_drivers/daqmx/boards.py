@@ -1,4 +1,4 @@
-"""Boards by serial number: what they are called today, and whether they can do what is asked."""
+"""Boards by serial number: their present names, and whether they can take the requested record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ABSENT = frozenset({-201003, -200324, -200220, -200045, -89130})
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Board:
-    """One board under the name it has today.
+    """Board under its present name.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Board:
 
     @property
     def label(self) -> str:
-        """How messages call it."""
+        """Return the name of the board in messages."""
         return f"{self.product} {self.serial}"
 
 
@@ -63,7 +63,7 @@ def same_serial(text: str) -> str:
 
 
 def installed(connection: Connection) -> dict[str, Any]:
-    """All boards the driver knows, by serial number (0 for NI's simulated devices: use one at a time)."""
+    """Return all boards the driver knows by serial number (0: NI's simulated devices; use one at a time)."""
     system = connection.system()
     with vendor_call("listing the boards"):
         devices = list(system.devices)
@@ -81,7 +81,7 @@ def installed(connection: Connection) -> dict[str, Any]:
 
 
 def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:
-    """Boards with these serial numbers, whatever they are called today.
+    """Return the boards with these serial numbers under their present names.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
 
 
 def describe(serial: str, device: Any) -> Board:
-    """Read what a board says of itself."""
+    """Read a board's description from the driver."""
     with vendor_call(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
         if not (name and product):
@@ -136,7 +136,7 @@ def _names(there: Mapping[str, Any]) -> str:
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
-    """Refuse a board that cannot take the asked record, and say what it can do.
+    """Check that a board can take the requested record, and return its limits.
 
     Raises
     ------
@@ -165,5 +165,5 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
 
 
 def agree(given: float, asked: float) -> bool:
-    """Tell whether the driver took the value as asked."""
+    """Check whether the driver took the requested value."""
     return math.isclose(given, asked, rel_tol=RELATIVE_AGREEMENT)

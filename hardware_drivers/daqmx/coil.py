@@ -1,4 +1,4 @@
-"""One striker's coil: a finite pulse timed by the board's counter, low before and after.
+"""Coil of a striker: a finite pulse timed by the board's counter, low before and after.
 
 The level is never a static line: once started, the counter ends the pulse whatever becomes of this
 program, of the connection or of the computer. Energising lifts the striker; it falls when the coil
@@ -38,7 +38,7 @@ PULSE_AGREEMENT = 0.01
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Coil:
-    """A committed counter task, its watchdog, and until when the coil may be on."""
+    """Committed counter task with its watchdog, and the time until which the coil may be on."""
 
     position: str
     board: Board
@@ -85,7 +85,7 @@ class Coil:
             )
 
     def close(self) -> bool:
-        """Stop the pulse, then clear the tasks; True if the driver did as asked (errors are logged).
+        """Stop the pulse, then clear the tasks; True if the driver confirmed it (errors are logged).
 
         Afterwards `on_until` tells whether the coil may still be on: it is 0 once any step stopped it.
         """

@@ -35,7 +35,7 @@ def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
 
 
 def _require(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Each end that is wired is used, and each that is used is wired."""
+    """Check that every wired end is used, and every used end is wired."""
     ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
     for position, wiring in parameters.transducers.items():
         for role, end in ends:

@@ -1,4 +1,4 @@
-"""What the NI-DAQmx driver is told: boards, wiring, record, strike. Imports nothing of the vendor's.
+"""Parameters of the NI-DAQmx driver: boards, wiring, record, strike. Imports nothing of the vendor's.
 
 A file embeds `DaqmxParameters` as ``[rig.daqmx]`` and each transducer's wiring as
 ``[rig.daqmx.transducers.B]``, by the position it belongs to.
@@ -34,13 +34,13 @@ _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
 
 
 def fall_s(height_m: float) -> float:
-    """Time of a free fall, s."""
+    """Return the time of a free fall, s."""
     return math.sqrt(2.0 * height_m / GRAVITY_M_PER_S2)
 
 
 @bounded
 class TransducerWiring:
-    """Where one transducer is connected: its PZT disk to an input, its coil to a counter's output."""
+    """Wiring of one transducer: its PZT disk at an input, its coil at a counter's output."""
 
     board_serial: str
     """Serial number of the digitizer board as printed on its label (hexadecimal, like `01A2B3C4`)."""
@@ -80,23 +80,23 @@ class TransducerWiring:
 
     @property
     def digitizes(self) -> bool:
-        """Whether a board here samples the transducer."""
+        """Return whether a board here samples the transducer."""
         return bool(self.input)
 
     @property
     def strikes(self) -> bool:
-        """Whether a counter here pulses its coil."""
+        """Return whether a counter here pulses its coil."""
         return bool(self.counter)
 
     @property
     def coil_serial(self) -> str:
-        """Serial number of the board that drives the coil."""
+        """Return the serial number of the board that drives the coil."""
         return self.striker_serial or self.board_serial
 
 
 @bounded
 class WatchdogWiring:
-    """X Series watchdog: the board itself pulls the coil's lines low if this program stops feeding it."""
+    """Watchdog of X Series: the board pulls the coil's lines low if this program stops resetting it."""
 
     board_serial: str
     """Serial number of the X Series board whose counters drive the coils."""
@@ -115,7 +115,7 @@ class WatchdogWiring:
 
 @bounded
 class GrpcTls:
-    """Encryption of the way to NI's gRPC device server, as its own configuration asks for it.
+    """Encryption of the connection to NI's gRPC device server, as its own configuration requires it.
 
     A server with `server_cert` and `server_key` needs the root certificate here, one with `root_cert` also
     knows its clients by theirs (mutual TLS). Files in PEM form.
@@ -137,7 +137,7 @@ class GrpcTls:
 
 @bounded
 class DaqmxParameters:
-    """Digitizers and strikers of a rig on NI-DAQmx boards."""
+    """Parameters of digitizers and strikers on NI-DAQmx boards."""
 
     transducers: Mapping[str, TransducerWiring]
     """Wiring of each solitary-wave transducer, by its position."""
@@ -213,7 +213,7 @@ class DaqmxParameters:
                 )
 
     def check_holdoff(self, holdoff_s: float | None) -> None:
-        """Raise ValueError for a holdoff, as asked or as a board would time it, that cannot work."""
+        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work."""
         latest_s = self.fall_s - self.pretrigger_samples / self.sample_rate_hz
         if self.ringing_s >= latest_s:
             raise ValueError(
@@ -233,7 +233,7 @@ class DaqmxParameters:
             )
 
     def _check_holdoff_s_counter(self) -> None:
-        """Refuse a holdoff without the coil's counter, which begins it."""
+        """Reject a holdoff without the coil's counter, which starts it."""
         if self.holdoff_s is None:
             return
         alone = [name for name, its in self.transducers.items() if its.digitizes and not its.strikes]
@@ -257,7 +257,7 @@ class DaqmxParameters:
         _match("grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -")
 
     def _check_wiring(self) -> None:
-        """Refuse two transducers on one input, counter or terminal.
+        """Reject two transducers on one input, counter or terminal.
 
         A counter cannot serve two coils in turn: a route that a task has given up may stay connected,
         and then both coils would pulse.
@@ -277,13 +277,13 @@ class DaqmxParameters:
                     )
 
     def watchdog_of(self, serial: str) -> WatchdogWiring | None:
-        """Watchdog of a board, by its serial number in any form."""
+        """Return the watchdog of a board, by its serial number in any form."""
         of_board = (one for one in self.all_watchdogs if int(one.board_serial, 16) == int(serial, 16))
         return next(of_board, None)
 
     @property
     def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
-        """Every watchdog, whichever way it is written."""
+        """Return every watchdog, in either notation."""
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
@@ -314,12 +314,12 @@ class DaqmxParameters:
 
     @property
     def fall_s(self) -> float:
-        """Free fall of the striker, s."""
+        """Return the free fall of the striker, s."""
         return fall_s(self.drop_height_m)
 
     @property
     def longest_call_s(self) -> float:
-        """Longest time one call of an instrument may take over gRPC, clean-up included.
+        """Return the longest time that one call may take over gRPC, clean-up included.
 
         Self-calibration is slowest: ten times `call_timeout_s`; the nine calls that stop and clear what is
         left take one each.
@@ -328,17 +328,20 @@ class DaqmxParameters:
 
     @property
     def initial_delay_s(self) -> float:
-        """From the counter's start to the coil's pulse: twice the pre-trigger, which fills meanwhile."""
+        """Return the delay from the counter's start to the coil's pulse.
+
+        Twice the pre-trigger, which fills then.
+        """
         return 2.0 * self.pretrigger_samples / self.sample_rate_hz
 
     @property
     def whole_strike_samples(self) -> int:
-        """Samples from the coil's switching on to the last one of a wave, friction allowed for."""
+        """Return the samples from the coil's switching on to the last of a wave, with margin for friction."""
         return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:
-        """From the counter's start to the last sample, friction allowed for."""
+        """Return the time from the counter's start to the last sample, with margin for friction."""
         record_s = self.record_samples / self.sample_rate_hz
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 

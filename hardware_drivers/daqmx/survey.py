@@ -1,4 +1,4 @@
-"""What `solimon doctor` asks of the boards: nothing strikes, nothing is changed, each answer has a state."""
+"""Survey of the boards for `solimon doctor`: nothing strikes, nothing is changed, each result has a state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ READ_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardFacts:
-    """One board of the system, ours or not."""
+    """Facts about one board of the system, configured or not."""
 
     serial: str
     name: str
@@ -57,7 +57,7 @@ class BoardFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Survey:
-    """Everything found.
+    """Result of a survey.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Survey:
 
     @property
     def state(self) -> State:
-        """The worst state found."""
+        """Return the worst state of all findings."""
         states = {finding.state for finding in self.findings}
         return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
 
 
 def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
-    """Look at driver and boards before anything is wired; errors become findings."""
+    """Survey driver and boards before anything is wired; errors become findings."""
     no_wiring = {"": TransducerWiring(board_serial="0")}
     visit = _BoardSurvey(
         DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address)
@@ -95,7 +95,7 @@ def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address
 
 
 def survey(parameters: DaqmxParameters) -> Survey:
-    """Look at driver, boards and every transducer's wiring without striking; errors become findings."""
+    """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
     visit = _BoardSurvey(parameters)
     connection = visit.reached()
     if connection is not None:
@@ -110,7 +110,7 @@ def survey(parameters: DaqmxParameters) -> Survey:
 
 
 class _BoardSurvey:
-    """Findings as they come in."""
+    """Survey in progress: collects the findings."""
 
     def __init__(self, parameters: DaqmxParameters) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
@@ -123,7 +123,7 @@ class _BoardSurvey:
         self._lock: ClientLock | None = None
 
     def reached(self) -> Connection | None:
-        """Reach the driver, on a server under this rig's own name."""
+        """Connect to the driver, on a server under this rig's own name."""
         parameters = self._parameters
         connections: list[Connection] = []
 
@@ -143,7 +143,7 @@ class _BoardSurvey:
         return None
 
     def at_boards(self, connection: Connection) -> None:
-        """All boards, ours with what they say of themselves."""
+        """Survey all boards, the configured ones in detail."""
         ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
         ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
         there = self.at_installed(connection, ours)
@@ -160,7 +160,7 @@ class _BoardSurvey:
                 self._assess_board(facts)
 
     def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
-        """Each board that the driver knows, by serial number."""
+        """Survey each board that the driver knows, by serial number."""
         there: dict[str, Any] = {}
         self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
         for serial, device in there.items():
@@ -239,7 +239,7 @@ class _BoardSurvey:
         )
 
     def at_transducer(self, connection: Connection, position: str) -> None:
-        """Input, trigger, coil and noise of one transducer."""
+        """Survey input, trigger, coil and noise of one transducer."""
         parameters, wiring = self._parameters, self._parameters.transducers[position]
         board = self._boards.get(same_serial(wiring.board_serial))
         coil_board = self._boards.get(same_serial(wiring.coil_serial))
@@ -318,12 +318,12 @@ class _BoardSurvey:
         return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
 
     def end(self) -> None:
-        """Give the client name free."""
+        """Release the client name."""
         if self._lock is not None:
             self._lock.release()
 
     def result(self) -> Survey:
-        """All that was found."""
+        """Return the result."""
         return Survey(
             package_version=version("nidaqmx"),
             driver_version=self._driver_version,
@@ -333,7 +333,7 @@ class _BoardSurvey:
         )
 
     def _checked(self, subject: str, check: str, work: Callable[[], object]) -> bool:
-        """Do it; an error is a finding, its message names the remedy."""
+        """Run a check; an error becomes a finding, its message names the remedy."""
         try:
             detail = work()
         except InstrumentError as error:

@@ -28,7 +28,7 @@ def _open(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Finding]:
-    """Open each probe's board, ask who it is, and take one averaged record: that only listens."""
+    """Open each probe's board, read its identity, and take one averaged record without firing."""
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     for position, wiring in parameters.probes.items():

@@ -42,7 +42,7 @@ _NAMES_SHOWN = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place:
-    """Where a record lies, and how it becomes a waveform."""
+    """Location of a record, and its conversion to a waveform."""
 
     path: Path
     group: str
@@ -60,7 +60,7 @@ class _Place:
 
 
 class TdmsShots:
-    """An opened recording; `close` it, or use it as a context manager.
+    """Opened recording; `close` it, or use it as a context manager.
 
     Made by `open_tdms`. One file is kept open at a time.
     """
@@ -74,32 +74,32 @@ class TdmsShots:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method."""
+        """Return the recorded positions and their method."""
         return self._positions
 
     @property
     def keys(self) -> list[ShotKey]:
-        """Every recorded shot, sorted by set, position, shot and attempt."""
+        """Return every recorded shot, sorted by set, position, shot and attempt."""
         return sorted(
             self._places, key=lambda key: (key.set_index, key.position, key.shot_index, key.attempt)
         )
 
     def utc_ns(self, key: ShotKey) -> int | None:
-        """When a shot was recorded; None if its file does not tell, or there is no such shot."""
+        """Return the time of a shot; None if its file has none, or there is no such shot."""
         place = self._places.get(key)
         return None if place is None else place.utc_ns
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """First recorded time after a time, None after the last one."""
+        """Return the first recorded time after a time, None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
     def tried(self, key: ShotKey) -> bool:
-        """Whether it was recorded."""
+        """Return whether the shot was recorded."""
         return key in self._places
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot, None if it was not recorded.
+        """Return the record of a shot, None if it was not recorded.
 
         Raises
         ------
@@ -190,7 +190,7 @@ def open_tdms(
 
 
 def _files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
-    """Files looked at, and the names that are matched."""
+    """Return the files, and the names that are matched."""
     if source.is_file():
         return [(source, source.name)]
     if not source.is_dir():
@@ -249,7 +249,7 @@ def _place(
     mapping: TdmsMapping,
     shared: dict[tuple[Any, ...], Conversion],
 ) -> _Place:
-    """First record of a channel."""
+    """Return the first record of a channel."""
     n_samples = samples_of_record(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
     conversion = _shared(conversion_of(channel, mapping), shared)
@@ -276,7 +276,7 @@ def _place(
 def _appended(
     key: ShotKey, place: _Place, n_samples: int, mapping: TdmsMapping
 ) -> Iterator[tuple[ShotKey, _Place]]:
-    """Give the first record of a channel and those appended to it."""
+    """Yield the first record of a channel and those appended to it."""
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)
         yield (
@@ -290,7 +290,7 @@ def _appended(
 
 
 def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) -> Conversion:
-    """One object for all channels that are converted alike: a recording has thousands of them."""
+    """Return one object for all channels with equal conversion: a recording has thousands of them."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
     key = (

@@ -1,4 +1,4 @@
-"""LabVIEW files whose channels all lie in one group: the channel's own name says which shot it is.
+"""Shots of LabVIEW files with one group: the channel's own name identifies the shot.
 
 ``B`` is shot 0 of position B; ``B_3``, ``B shot 3`` and ``B3`` are its shot 3.
 """
@@ -15,7 +15,7 @@ _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
 def plays_by_name(mapping: TdmsMapping) -> bool:
-    """Whether nobody has said how groups and channels lead to shots."""
+    """Return whether the mapping leaves the shots to the names of channels."""
     defaults = TdmsMapping()
     keys = (
         "group_pattern",
@@ -31,7 +31,7 @@ def plays_by_name(mapping: TdmsMapping) -> bool:
 def shots_by_name(
     channels: Collection[tuple[str, str]], positions: Collection[str], mapping: TdmsMapping, file: str
 ) -> dict[tuple[str, str], Mapping[str, str | None]]:
-    """Position and shot of the channels that are named after a position; no other channel is looked at.
+    """Return position and shot of the channels named after a position; other channels are not read.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def shots_by_name(
 
 
 def _fits(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
-    """Give each position and shot that a channel's name may mean: its own first."""
+    """Return each position and shot that a channel's name may mean, the exact one first."""
     if name in positions:
         return [(name, None)]
     matches = ((one, re.fullmatch(re.escape(one) + _NUMBER, name, re.IGNORECASE)) for one in positions)

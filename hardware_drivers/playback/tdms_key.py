@@ -1,4 +1,4 @@
-"""Which shot a record of a LabVIEW file is."""
+"""Key of the shot of each record in a LabVIEW file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hardware_drivers.playback.tdms_channel import Channel
 
 
 def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
-    """Shot of a channel's first record.
+    """Return the shot of a channel's first record.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
 
 
 def _index(channel: Channel, part: str, values: Any, first: int) -> int:
-    """Index from 0; what is not told is 0."""
+    """Return an index from 0; a missing one is 0."""
     if values is None:
         return 0
     try:
@@ -65,7 +65,7 @@ def _index(channel: Channel, part: str, values: Any, first: int) -> int:
 
 
 def samples_of_record(channel: Channel, mapping: TdmsMapping) -> int:
-    """Length of each record of a channel.
+    """Return the length of each record of a channel.
 
     Raises
     ------

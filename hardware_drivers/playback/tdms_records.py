@@ -1,4 +1,4 @@
-"""Every record of a LabVIEW file as it lies there, whatever its groups and channels are called."""
+"""Raw records of a LabVIEW file, independent of the names of its groups and channels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hardware_drivers.playback.tdms_key import samples_of_record
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChannelRecords:
-    """Records of one channel, one after the other as a loop of writes leaves them.
+    """Records of one channel, consecutive as a loop of writes leaves them.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class ChannelRecords:
     conversion: Conversion
 
     def values(self) -> Iterator[NDArray[Any]]:
-        """Give each record's values as they lie in the file, shape (samples,)."""
+        """Return each record's raw values, shape (samples,)."""
         reader = ValuesReader()
         try:
             for number in range(self.n):
@@ -52,7 +52,7 @@ class ChannelRecords:
             reader.close()
 
     def volts(self, values: NDArray[Any]) -> NDArray[np.float64]:
-        """Turn values as they lie in the file into volts."""
+        """Convert raw values into volts."""
         if self.conversion.polynomial is None:
             return self.conversion.calibration.volts(values)
         return np.asarray(
@@ -68,7 +68,7 @@ def channel_records(
     rails_marked: bool,
     unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
-    """Find the channels of numbers.
+    """Return the channels with numbers.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Thermometer and hygrometer on a line of text, for probes that answer one question with one number."""
+"""Thermometer and hygrometer with a text protocol: one number in response to one query."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ HUMIDITY_RANGE = (0.0, 1.05)
 
 
 class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
-    """A `ClimateProbe` of the instrument Protocols."""
+    """Climate probe with a text protocol; a `ClimateProbe` of the instrument Protocols."""
 
     def read(self, timeout_s: float) -> ClimateReading:
-        """Temperature and relative humidity now.
+        """Measure temperature and relative humidity.
 
         Raises
         ------

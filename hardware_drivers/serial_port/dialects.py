@@ -1,4 +1,4 @@
-"""What power supplies are asked and told, one table a dialect.
+"""Commands and queries of power supplies, one table per dialect.
 
 Units, headers and echoes in an answer are the line's concern, so a table holds only what differs. None
 has been proven on a real instrument: each is written from the manual that it names, and tested against a
@@ -16,7 +16,7 @@ NAME_BY_COMMAS = r"(?P<maker>[^,]*)(,(?P<model>[^,]*)(,(?P<serial_number>[^,]*)(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
-    """A question whose answer is a number.
+    """Query whose response is a number.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flag:
-    """A question whose answer is yes or no.
+    """Query whose response is yes or no.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Flag:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """Something to be set and read back; what has to be switched on beside it is read back too."""
+    """Setting that is set and read back; a switch that enables it is read back too."""
 
     command: str
     digits: str

@@ -1,4 +1,4 @@
-"""Supply and climate probe that speak text, as kinds of instruments."""
+"""Supply and climate probe with a text protocol, as kinds of instruments."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _identified(subject: str, identity: Mapping[str, str]) -> Finding:
 
 
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the supply who it is, what is set, and what it gives."""
+    """Check the supply: identity, settings, protections and output."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     subject, check = "supply", "identity"
@@ -89,7 +89,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
 
 
 def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the climate probe who it is, and for one reading."""
+    """Check the climate probe: identity and one reading."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     subject, check = "climate probe", "identity"

@@ -1,4 +1,4 @@
-"""One instrument on one line, serial, TCP or VISA: questions and answers as text, each bounded in time.
+"""Line to one instrument, serial, TCP or VISA: queries and responses as text, each bounded in time.
 
 A line is in step with its instrument or it is not. Whatever goes wrong (silence, garbage, an unplugged
 cable) takes it out of step, and what an instrument answers too late would then answer the next question:
@@ -54,7 +54,7 @@ _PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6}
 
 
 class SerialLine:
-    """Speaks with the instrument whose name is expected; opened by the first call that needs it.
+    """Line to the instrument with the expected name; opened by the first call that needs it.
 
     Parameters
     ----------
@@ -90,18 +90,18 @@ class SerialLine:
 
     @property
     def connected(self) -> bool:
-        """True while the port is open and every answer was right since the expected name was told."""
+        """Return True while the port is open and every response since the expected name was right."""
         return self._in_step
 
     @property
     def name(self) -> str:
-        """What the instrument last answered when asked who it is."""
+        """Return the instrument's last response to the identity query."""
         return self._name
 
     # Opening -------------------------------------------------------------------------------------
 
     def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
-        """Open the port and ask who is there, unless the line is in step already.
+        """Open the port and query the identity, unless the line is in step already.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class SerialLine:
         return self._identify(deadline_s)
 
     def _identify(self, deadline_s: float) -> str:
-        """Ask who is there; what comes before the expected name is a late reply and thrown away."""
+        """Query the identity; text before the expected name is a late response and discarded."""
         deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
         self._echoes = False
         self._write(self._identity_query)
@@ -214,7 +214,7 @@ class SerialLine:
     # Talking -------------------------------------------------------------------------------------
 
     def send(self, command: str) -> None:
-        """Send a command that is not answered.
+        """Send a command without a response.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class SerialLine:
             self._next_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
-        """Send a question and return its answer without its terminator.
+        """Send a query and return its response without its terminator.
 
         Raises
         ------
@@ -276,7 +276,7 @@ class SerialLine:
         header: str = "",
         stray: str = "",
     ) -> float:
-        """Send a question whose answer is a finite number.
+        """Send a query whose response is a finite number.
 
         Parameters
         ----------
@@ -314,7 +314,7 @@ class SerialLine:
         )
 
     def query_flag(self, question: str, deadline_s: float, *, mask: int = 0, raw: bool = False) -> bool:
-        """Send a question whose answer is yes or no.
+        """Send a query whose response is yes or no.
 
         Parameters
         ----------
@@ -345,7 +345,7 @@ class SerialLine:
         raise self._lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
     def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
-        """Take one entry off the instrument's errors; None when there is none.
+        """Return one entry of the instrument's error queue; None when there is none.
 
         Parameters
         ----------
@@ -410,7 +410,7 @@ class SerialLine:
             raise self._lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
     def refused(self, message: str) -> ConnectionLostError:
-        """Take the line out of step for an answer that cannot be right; the caller raises the result."""
+        """Mark the line as out of step after an impossible response; return the error to raise."""
         return self._lost(message)
 
     def _lost(self, message: str) -> ConnectionLostError:
@@ -422,7 +422,7 @@ class SerialLine:
 
 
 def _text(raw: bytes | bytearray) -> str | None:
-    """Printable ASCII of a reply, or None; spaces around it and a stray carriage return do not count."""
+    """Return the printable ASCII of a response, or None, without outer spaces and a stray carriage return."""
     stripped = raw.strip(b" \t\r\n")
     if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):
         return None
@@ -430,7 +430,7 @@ def _text(raw: bytes | bytearray) -> str | None:
 
 
 def _is_name(reply: str) -> bool:
-    """Tell another instrument's name from a late number or error of the right one."""
+    """Distinguish another instrument's name from a late number or error of the right one."""
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False
     try:
