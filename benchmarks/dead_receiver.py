@@ -1,4 +1,4 @@
-"""REST beside receivers of notifications that are dead: they must slow nothing.
+"""REST latency next to unresponsive notification receivers, which must slow nothing.
 
 Three services run side by side, each in a process of its own on a test of its own, and are asked in turn:
 one without receivers, one whose receivers accept connections and never answer, one whose receivers refuse
@@ -39,14 +39,14 @@ SECRET = "DEAD_RECEIVER_SECRET"
 
 
 class Dead:
-    """Accepts every connection, reads what comes, and never answers."""
+    """Receiver that accepts every connection, reads everything, and never answers."""
 
     def __init__(self) -> None:
         self.connections: list[asyncio.Task[Any] | None] = []
         self.reached = asyncio.Event()
 
     async def hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Take one connection until its client gives up."""
+        """Hold one connection until its client gives up."""
         self.connections.append(asyncio.current_task())
         self.reached.set()
         while await reader.read(65536):
@@ -55,14 +55,14 @@ class Dead:
 
 
 def refused_port() -> int:
-    """Find a port at which nobody listens."""
+    """Return a port at which no server listens."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
 def notifying(port: int | None, receivers: int) -> dict[str, Any]:
-    """Make the table of notifications; each alarm is told at once."""
+    """Return the table of notifications; each alarm is sent at once."""
     if port is None:
         return {}
     one = {"url": f"http://127.0.0.1:{port}/hook", "secret_env": SECRET}
@@ -70,7 +70,7 @@ def notifying(port: int | None, receivers: int) -> dict[str, Any]:
 
 
 async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
-    """Everything that `main` prints."""
+    """Return everything that `main` prints."""
     dead = Dead()
     server = await asyncio.start_server(dead.hear, "127.0.0.1", 0)
     ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": refused_port()}
@@ -115,7 +115,7 @@ async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
 async def _asked_in_turn(
     services: dict[str, Service], opened: dict[str, Connected], folders: list[FilledFolder], requests: int
 ) -> tuple[dict[tuple[str, str], list[float]], dict[str, float]]:
-    """Time of each request by way and path, and processor time of each service meanwhile."""
+    """Return the time of each request by way and path, and the processor time of each service meanwhile."""
     times_s: dict[tuple[str, str], list[float]] = {(way, name): [] for way in services for name in PATHS}
     before_s = {way: one.use()["cpu_s"] for way, one in services.items()}
     for number in range(requests):
@@ -142,7 +142,7 @@ def _ratios(times_s: dict[tuple[str, str], list[float]], name: str, share: float
 
 
 async def _failures(connected: Connected) -> int:
-    """Count the failed attempts that a service tells of."""
+    """Count the failed attempts that a service reports."""
     reader, writer = connected
     writer.write(b"GET /api/v1/notifications HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
     content = (await reader.read()).partition(b"\r\n\r\n")[2]
@@ -150,7 +150,7 @@ async def _failures(connected: Connected) -> int:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Cost of the demonstration by stage, fsync included, beside the obvious line.
+"""Cost of the demonstration by stage, fsync included, next to the obvious line.
 
     python benchmarks/demo_speed.py [--hours H] [--rounds R] [--cold] [--json]
 
@@ -84,7 +84,7 @@ def one_thread_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Itera
 
 @contextmanager
 def compression_by_hdf5() -> Iterator[None]:
-    """Let HDF5 filter the chunks itself."""
+    """Make HDF5 filter the chunks itself."""
 
     def written_by_hdf5(dataset: Any, array: Any, chunk: Any) -> None:
         del chunk
@@ -119,7 +119,7 @@ def run_recorder(hours: float, kind: str) -> dict[str, Any]:
 
 
 def run_in_a_process(kind: str, hours: float) -> dict[str, Any]:
-    """One run in a new process, so that none inherits the other's memory."""
+    """Run once in a new process, so that none inherits another's memory."""
     completed = subprocess.run(
         [sys.executable, __file__, "--hours", str(hours), "--one", kind],
         capture_output=True,
@@ -131,7 +131,7 @@ def run_in_a_process(kind: str, hours: float) -> dict[str, Any]:
 
 
 def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
-    """Run ``solimon demo`` as a person would, from an empty folder, and if `cold` with empty caches."""
+    """Run ``solimon demo`` like a user, from an empty folder, and if `cold` with empty caches."""
     with tempfile.TemporaryDirectory() as folder:
         caches = {name: str(Path(folder) / place) for name, place in CACHES.items()} if cold else {}
         started, before = time.perf_counter(), os.times()
@@ -151,7 +151,7 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
 
 
 def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, float]]:
-    """Alternate the three runs; the mean of each number over the rounds."""
+    """Alternate the three runs; return the mean of each number over the rounds."""
     runs: dict[str, list[dict[str, Any]]] = {kind: [] for kind in (COMMAND, *ONE_PROCESS)}
     for _ in range(rounds):
         runs[COMMAND].append(run_command(hours, cold=cold))
@@ -164,7 +164,7 @@ def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, flo
 
 
 def show(found: dict[str, dict[str, float]]) -> None:
-    """Print a column a run."""
+    """Print one column per run."""
     print(f"{'':24s}" + "".join(f"{kind:>14s}" for kind in found))
     for name in ("sets", "shots"):
         print(f"{name:24s}" + "".join(f"{run[name]:14.0f}" for run in found.values()))

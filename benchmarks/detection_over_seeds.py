@@ -1,4 +1,4 @@
-"""How soon and how wrongly the demo's experiment alarms, over many seeds.
+"""Detection delay and false alarms of the demo's test over many seeds.
 
 Runs the twin, the extraction and the assessors of the recorder (no storage: rows are dropped) for
 each seed, at several scales of the scatter, and prints per run the hour of the first alarm and the
@@ -53,7 +53,7 @@ COVERAGE = 0.995
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One position, seed and scatter."""
+    """Run of one position, seed and scatter."""
 
     position: str
     seed: int
@@ -66,7 +66,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What the run showed."""
+    """Result of a run."""
 
     run: Run
     first_alarm_h: float | None
@@ -146,7 +146,7 @@ def otherwise(
     assessed_rows: Sequence[Any],
     settings: Settings,
 ) -> dict[str, list[bool]]:
-    """Tell after each judged set which alarm would stand by charts, and by k of n, designed otherwise."""
+    """Return the alarm after each set under other designs of charts and k-of-n rules."""
     begins, n = min(baseline), max(baseline) - min(baseline) + 1
     sets = np.full((assessed_rows[-1].set_index - begins + 1, len(FEATURE_NAMES)), np.nan)
     for index, vector in vectors.items():
@@ -191,7 +191,7 @@ def onsets(assessed_rows: Sequence[Any], stands: Sequence[bool]) -> list[float]:
 
 
 def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tuple[int, int, float]:
-    """Central interval and mean of the pooled outlier count of healthy, independent, normal sets."""
+    """Return central interval and mean of the pooled outlier count of healthy, independent, normal sets."""
     random = np.random.default_rng(20240101)
     p = len(FEATURE_NAMES)
     totals = np.zeros(draws, dtype=np.int64)
@@ -223,7 +223,7 @@ def all_runs(
 
 
 def by_rule(outcomes: Sequence[Outcome]) -> list[str]:
-    """Lines of all rules on the same records: first alarm, and how often it was raised."""
+    """Return the lines of all rules on the same records: first alarm, and how often it was raised."""
     lines = []
     for position in "BCD":
         runs = [one for one in outcomes if one.run.position == position and one.run.drift]

@@ -1,4 +1,4 @@
-"""Is it the wall? How often verdicts are right, on models whose slopes they never saw.
+"""Accuracy of the wall diagnosis on models whose slopes were not used in the design.
 
     python benchmarks/diagnoses.py                                   some minutes on one core
     python benchmarks/diagnoses.py --runs 1000 --only healthy        the number of runs behind a bound of 1 %
@@ -73,7 +73,7 @@ DEPTH_AT_END = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelSlopes:
-    """A model as slopes: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
+    """Slopes of a model: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
 
     of_place: FloatArray
     of_plate_modulus: FloatArray
@@ -95,7 +95,7 @@ def model_slopes(name: str) -> ModelSlopes:
 
 @lru_cache(maxsize=1)
 def electronic_sd() -> FloatArray:
-    """SD that noise of the records leaves in the logarithms of a set's means, from real records."""
+    """Return the SD that record noise leaves in the logarithms of a set's means, from real records."""
     twin = {"scatter": {"scale": 0.0}, "drift": {"enabled": False}}
     settings = load_settings(None, overrides={"twin": twin, "schedule": {"end_h": 12.0}})
     rows = [one.position_result.features[-1] for one in assessed_sets(settings, "D")]
@@ -105,7 +105,7 @@ def electronic_sd() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What goes wrong: full sizes by source, at once or evenly over `ramp` sets from `onset` on."""
+    """Change to diagnose: full sizes by source, at once or evenly over `ramp` sets from `onset` on."""
 
     name: str
     sizes: tuple[tuple[str, float], ...] = ()
@@ -114,7 +114,7 @@ class Case:
     depth: float = 0.0
 
     def part(self, index: int) -> float:
-        """Part of the full size at a set."""
+        """Return the fraction of the full size at a set."""
         if index < self.onset:
             return 0.0
         return 1.0 if self.ramp == 0 else min(1.0, (index - self.onset) / self.ramp)
@@ -134,7 +134,7 @@ WARMER = Case(name="temperature", sizes=(("kelvin", 15.0),), ramp=48)
 
 
 def place_of(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Give what a case adds to the sources, shape (2 n + 3,), and to the temperature in K."""
+    """Return a case's addition to the sources, shape (2 n + 3,), and to the temperature in K."""
     place, warmer_k = np.zeros(2 * n + 3), 0.0
     rows = {"drop_height": 2 * n, "gain": 2 * n + 1, "tilt_rad": 2 * n + 2}
     for source, size in case.sizes:
@@ -159,7 +159,7 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
 
 
 def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Logarithms of each set and of a confirmation set struck then, shape (n, 7), and the wall's depth."""
+    """Return logarithms of each set and a confirmation set, shape (n, 7), and the wall's depth."""
     chain, found, random = MODELS[model][0], model_slopes(model), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
     weather: Climate = climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
@@ -196,7 +196,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
 
 
 def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE) -> dict[str, Any]:
-    """Judge one run by the last sets before `BASELINE`; depths are None where it was never called so."""
+    """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
     logs, confirmation_logs, depths = sets_of(case, level, model, seed)
     design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
@@ -237,7 +237,7 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
 
 
 def limits_alarmed_at(distance: FloatArray, depths: FloatArray) -> list[tuple[float, float]]:
-    """Depth, and the greatest limit that 3 of 5 sets have been beyond by then, wherever that has grown.
+    """Return depth, and the largest limit that 3 of 5 sets have exceeded by then, wherever that has grown.
 
     Until the fifth set 3 of those that are there: a k of n begins with an empty window.
     """
@@ -250,19 +250,19 @@ def limits_alarmed_at(distance: FloatArray, depths: FloatArray) -> list[tuple[fl
 def depth_by_f_held_to(
     rate: float, healthy: Sequence[dict[str, Any]], sick: Sequence[dict[str, Any]]
 ) -> float:
-    """Median depth at which F, 3 of 5, alarms by a limit that this part of the healthy runs goes beyond."""
+    """Return the median depth of the F alarm, 3 of 5, at a limit with this healthy rate."""
     limit = np.quantile([row["f_limits"][-1][1] for row in healthy], 1.0 - rate)
     first = [next((depth for depth, seen in row["f_limits"] if seen > limit), math.inf) for row in sick]
     return float(np.median(first))
 
 
 def median_depth(rows: Sequence[dict[str, Any]], name: str) -> float:
-    """Median over the runs; one that was never called counts as deeper than any."""
+    """Return the median over the runs; a run without a diagnosis counts as deeper than any."""
     return float(np.median([math.inf if row[name] is None else row[name] for row in rows]))
 
 
 def percent(found: Sequence[bool]) -> float:
-    """Share in percent."""
+    """Return the share in percent."""
     return 100.0 * float(np.mean(found))
 
 

@@ -1,4 +1,4 @@
-"""How shallow a wall anybody can name: an oracle's median depth beside that of `assessments.py`.
+"""Lower bound of the detectable wall loss: an oracle's median depth next to that of `diagnoses.py`.
 
     python benchmarks/diagnosis_bound.py            a minute on one core
     python benchmarks/diagnosis_bound.py --json
@@ -42,7 +42,7 @@ SETS = BASELINE + AFTER
 
 
 def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of set, wander, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
+    """Return covariances of set, drift, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
     found, sources, scatter = model_slopes(model), _sources(level, MODELS[model][0]), ScatterParameters()
     to_features = found.of_place.T @ sources.effect
 
@@ -60,7 +60,7 @@ def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def whitening(level: str, model: str) -> tuple[FloatArray, FloatArray]:
-    """Give what makes the logarithms of all sets independent, shape (7 n, 7 n), and a root of re-seats'."""
+    """Return the whitening of all sets' logarithms, shape (7 n, 7 n), and a root of re-seats'."""
     sizes = NUISANCE[level]
     of_set, of_wander, alone, of_reseat = covariances(level, model)
     apart = np.arange(SETS)
@@ -77,7 +77,10 @@ def whitening(level: str, model: str) -> tuple[FloatArray, FloatArray]:
 
 
 def growths(model: str, onsets: FloatArray) -> FloatArray:
-    """Change of all logarithms by corrosion that begins so many sets after the baseline, shape (7 n, k)."""
+    """Return the change of all logarithms by corrosion from so many sets after the baseline.
+
+    Shape (7 n, k).
+    """
     since = np.arange(SETS)[:, None] - BASELINE - onsets
     depths = np.minimum(CORROSION.depth * np.clip(since / AFTER, 0.0, None), DEPTHS[-1])
     curve = model_slopes(model).wall
@@ -86,12 +89,12 @@ def growths(model: str, onsets: FloatArray) -> FloatArray:
 
 
 def up_to_each(values: FloatArray) -> FloatArray:
-    """Sum what all sets up to each one after the baseline tell, shape (7 n, ...) to (AFTER, ...)."""
+    """Sum over the sets up to each one after the baseline, shape (7 n, ...) to (AFTER, ...)."""
     return np.asarray(values.reshape(SETS, -1, *values.shape[1:]).sum(axis=1).cumsum(axis=0)[BASELINE:])
 
 
 def log_ratios(grown: FloatArray, seen: FloatArray, places: FloatArray | None) -> FloatArray:
-    """Log likelihood of each growth over that of health after each set, shape (AFTER, k, runs).
+    """Return the log likelihood of each growth over that of health after each set, shape (AFTER, k, runs).
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ def log_ratios(grown: FloatArray, seen: FloatArray, places: FloatArray | None) -
 
 
 def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
-    """Depths at which it names walls that corrode from the first set after the baseline on."""
+    """Return the depths at which the oracle detects walls that corrode from the end of the baseline."""
     random, (white, root) = np.random.default_rng(0), whitening(level, model)
     onsets = {
         "onset known": np.zeros(1),

@@ -1,4 +1,4 @@
-"""Shares of sets beyond the limits at each level of nuisance, beside the paper's 80, 92 and 8 %.
+"""Shares of sets above the limits at each level of variability, next to the paper's 80, 92 and 8 %.
 
     python benchmarks/environmental_variability.py        three seeds a level, some minutes on one core
     python benchmarks/environmental_variability.py --seeds 1 --levels laboratory --hours 150
@@ -30,7 +30,7 @@ AFTER_H = 100.0
 
 
 def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
-    """Judge one transducer; shares in percent, None where no set was judged."""
+    """Assess one transducer; shares in percent, None where no set was assessed."""
     settings = load_settings(
         None, overrides={"twin": {"seed": seed, "nuisance": level}, "schedule": {"end_h": hours}}
     )
@@ -61,7 +61,7 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
 
 
 def mean_of(rows: Sequence[dict[str, Any]], name: str) -> float:
-    """Mean over the seeds that have it; NaN where none has."""
+    """Return the mean over the seeds that have it; NaN where none has."""
     known = [row[name] for row in rows if row[name] is not None]
     return float(np.mean(known)) if known else float("nan")
 

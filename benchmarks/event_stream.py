@@ -1,4 +1,4 @@
-"""The web service under load: small answers, many streams, many that come back at once, frozen readers.
+"""Web service under load: small answers, many streams, many simultaneous reconnections, frozen readers.
 
 A process of its own serves a new data folder; this one writes events through the catalogue and reads with
 plain sockets, so the load shares the cores with the service. The last part records on the twin in real time,
@@ -89,13 +89,13 @@ STRUCK_S, SHOTS, SHOT_INTERVAL_S = 60, 7, 0.05
 
 @dataclass(frozen=True)
 class Service:
-    """A service in a process of its own."""
+    """Service in a process of its own."""
 
     process: subprocess.Popen[str]
     port: int
 
     def use(self) -> dict[str, float]:
-        """Processor time and memory so far."""
+        """Return processor time and memory so far."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write("\n")
@@ -118,13 +118,13 @@ def service(
 
 
 def wall_s(stamp: str) -> float:
-    """RFC 3339 with nanoseconds to Unix time."""
+    """Convert RFC 3339 with nanoseconds to Unix time."""
     head, _, fraction = stamp.rstrip("Z").partition(".")
     return datetime.fromisoformat(head + "+00:00").timestamp() + float(f"0.{fraction or 0}")
 
 
 def percentile(values: list[float], share: float) -> float:
-    """Value below which this share lies."""
+    """Return the value below which this share lies."""
     return sorted(values)[int(share * (len(values) - 1))]
 
 
@@ -132,14 +132,14 @@ Connected = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 async def ask(port: int, path: str, **options: Any) -> Connected:
-    """Send a request and leave the answer to be read."""
+    """Send a request and leave the response unread."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, **options)
     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
     return reader, writer
 
 
 async def answer_s(connected: Connected, path: str) -> float:
-    """Time of one request on an open connection, to the last byte."""
+    """Return the time of one request on an open connection, to the last byte."""
     reader, writer = connected
     began = time.perf_counter()
     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
@@ -151,7 +151,7 @@ async def answer_s(connected: Connected, path: str) -> float:
 
 
 async def small_answers(port: int) -> dict[str, float]:
-    """Median time of small requests, ms."""
+    """Return the median time of small requests, ms."""
     found = {}
     for path in ("/healthz", "/"):
         connected = await asyncio.open_connection("127.0.0.1", port)
@@ -162,7 +162,7 @@ async def small_answers(port: int) -> dict[str, float]:
 
 
 async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
-    """Ask for ``/healthz`` again and again while something is done; its result, and each time."""
+    """Request ``/healthz`` repeatedly during ``work``; return its result, and each time."""
     connected, times_s = await asyncio.open_connection("127.0.0.1", port), list[float]()
     task = asyncio.ensure_future(work)
     while not task.done():
@@ -175,7 +175,7 @@ async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
 async def deliveries(
     folder: Path, served: Service, path: str, clients: int, rate_hz: float, seconds: float
 ) -> Any:
-    """Latency of all deliveries, and processor time of connecting and of delivering."""
+    """Return the latency of all deliveries, and processor time of connecting and of delivering."""
     latencies_s: list[float] = []
     before = served.use()["cpu_s"]
     opened = [await ask(served.port, path) for _ in range(clients)]
@@ -220,12 +220,12 @@ async def deliveries(
 
 
 def payload_of(number: int) -> dict[str, Any]:
-    """Give an event the size of a set's."""
+    """Return the payload of an event, as large as a set's."""
     return {"number": number, "cause": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
 
 
 async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any]:
-    """Let clients resume from the first event at once, beside some that read nothing at all."""
+    """Resume clients from the first event at once, next to some that read nothing at all."""
     before = served.use()
     silent = [await ask(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
 
@@ -255,7 +255,7 @@ async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any
 
 
 async def lost_by_those_who_come_back(port: int, clients: int) -> int:
-    """Read every stored event at many clients at once; how many of them lack or repeat any."""
+    """Read every stored event at many clients at once; return how many of them lack or repeat any."""
 
     async def resume() -> bool:
         reader, writer = await ask(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
@@ -267,7 +267,7 @@ async def lost_by_those_who_come_back(port: int, clients: int) -> int:
 
 
 def strikes(clients: int) -> dict[str, float]:
-    """How far strikes of a recorder (of the twin, in real time) are from their times, beside streams.
+    """Return the delays of a recorder's strikes (of the twin, in real time) next to streams.
 
     A set each second of `SHOTS` strikes; the first sets, in which kernels are compiled, are left out.
     """
@@ -306,7 +306,7 @@ def strikes(clients: int) -> dict[str, float]:
 
 
 async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: int) -> None:
-    """Read many streams and throw away what they tell, until the recorder has ended."""
+    """Read many streams and discard them, until the recorder has ended."""
     opened = [await ask(port, "/api/v1/stream") for _ in range(clients)]
 
     async def read(reader: asyncio.StreamReader) -> None:
@@ -322,7 +322,7 @@ async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: i
 
 
 def measured(folder: Path, options: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
-    """Everything that `main` prints."""
+    """Return everything that `main` prints."""
     found: dict[str, Any] = {}
     for way in ("nagle", "ours"):
         report(f"small answers, {way}")
@@ -339,7 +339,7 @@ def measured(folder: Path, options: argparse.Namespace, report: Callable[[str], 
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

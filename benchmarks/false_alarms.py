@@ -1,4 +1,4 @@
-"""What `solimon assess` promises, and keeps, on healthy sequences with memory, heavy tails and slow drift.
+"""False alarms of `solimon assess` on healthy sequences with autocorrelation, heavy tails and slow drift.
 
     python benchmarks/false_alarms.py [--runs N] [--json]
 
@@ -36,12 +36,12 @@ FEATURES = [f"feature {k}" for k in range(P)]
 
 
 def assessed_sequence(vectors: Any, n: int) -> Assessed:
-    """Judge a sequence whose first ``n`` sets are the baseline."""
+    """Assess a sequence whose first ``n`` sets are the baseline."""
     return assess(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
 
 
 def promise(task: tuple[str, int, int]) -> dict[str, float]:
-    """Five years of one healthy sensor."""
+    """Assess five years of one healthy sensor."""
     name, n, seed = task
     found = assessed_sequence(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
     rates = {limit: 100.0 * found.count[limit] / FIVE_YEARS for limit in LIMITS}
@@ -49,7 +49,7 @@ def promise(task: tuple[str, int, int]) -> dict[str, float]:
 
 
 def delay_sets(task: tuple[str, int, int]) -> float:
-    """Count the sets from the beginning of a ramp in a random direction to the alarm; infinite: none."""
+    """Count the sets from the start of a ramp in a random direction to the alarm; infinite: none."""
     name, n, seed = task
     random = np.random.default_rng([seed, n])
     vectors = healthy(name, n + 2 * RAMP_SETS, random)
@@ -64,7 +64,7 @@ BAD = ("healthy", "8 sets 8 SD off alike", "one set 10 SD off", "trend of 3 SD e
 
 
 def named(task: tuple[str, int, int]) -> bool:
-    """Tell whether a baseline with this fault is named with its kind (a healthy one: with any)."""
+    """Return whether the check names the kind of a baseline's fault (of a healthy one: any)."""
     fault, n, seed = task
     random = np.random.default_rng([seed, n])
     vectors = random.standard_normal((n, P))
@@ -83,7 +83,7 @@ def named(task: tuple[str, int, int]) -> bool:
 
 
 def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
-    """Everything that `main` prints; ``each`` maps a function over tasks."""
+    """Return everything that `main` prints; ``each`` maps a function over tasks."""
     found: dict[str, Any] = {"healthy": {}, "delay_sets": {}, "named": {}}
     for n in BASELINES:
         for name in NAMES:
@@ -102,7 +102,7 @@ def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""The dashboard's first picture in a headless Chromium: from the navigation to drawn charts, on loopback.
+"""First view of the dashboard in a headless Chromium: from the navigation to drawn charts, on loopback.
 
     python benchmarks/first_picture.py [--folder F] [--times N] [--json]
 
@@ -96,7 +96,7 @@ def main() -> None:
 
 
 def filled(folder: Path) -> Path:
-    """Invent a test and end it."""
+    """Create an ended test with invented data."""
     test = FilledFolder(folder, Settings())
     for index in range(SETS):
         test.add_set(index, stored=index < STORED or index == SETS - 1)
@@ -105,7 +105,7 @@ def filled(folder: Path) -> Path:
 
 
 def visits(url: str, times: int) -> dict[str, list[float]]:
-    """Milliseconds of each visit."""
+    """Return the milliseconds of each visit."""
     times_by_name: dict[str, list[float]] = {"document alone": []}
     with httpx.Client(base_url=url) as api:
         for _ in range(times):

@@ -1,4 +1,4 @@
-"""Many sensors judged together: how many raised ones are false, how many sick ones are found, how fast.
+"""Fleet assessment: fraction of false raises, fraction of sick sensors found, and speed.
 
     python benchmarks/fleet.py [--fleets N] [--sensors N] [--json]
     python benchmarks/fleet.py --speed
@@ -44,7 +44,7 @@ NAMES = tuple("abcde")
 
 
 def fleet(kind: str, n: int, sensors: int, sick: int, gain_sd: float, random: Any) -> list[np.ndarray]:
-    """Tables of a fleet, the sick ones first."""
+    """Return the tables of a fleet, the sick ones first."""
     hours = np.arange(n + SETS)
     season = WEATHER_SD * np.sin(2 * np.pi * hours / SETS) + 0.5 * np.sin(2 * np.pi * hours / 24)
     tables = []
@@ -61,7 +61,7 @@ def fleet(kind: str, n: int, sensors: int, sick: int, gain_sd: float, random: An
 
 
 def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
-    """Judge one fleet, and count."""
+    """Assess one fleet, and count."""
     kind, n, sensors, share, gain_sd, seed = task
     sick = round(share * sensors)
     random = np.random.default_rng([seed, n, sick, sensors])
@@ -94,7 +94,7 @@ def _false(raised: set[int], sick: int) -> float:
 
 
 def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str, Any]:
-    """Everything that `main` prints."""
+    """Return everything that `main` prints."""
     found = {}
     for kind, n, share in product(KINDS, BASELINES, SICK):
         tasks = [(kind, n, sensors, share, gain_sd, seed) for seed in range(fleets)]
@@ -110,7 +110,7 @@ def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str
 
 
 def speed() -> dict[str, float]:
-    """Time 1,000 tables by the clock and by the processor: a busy machine takes more of the first only."""
+    """Time 1,000 tables by clock and processor: a busy machine increases the first only."""
     with tempfile.TemporaryDirectory() as folder:
         random = np.random.default_rng(1)
         paths = [Path(folder) / f"sensor_{k:04d}.npy" for k in range(1000)]
@@ -134,7 +134,7 @@ def speed() -> dict[str, float]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""The journal beside a raw write and fdatasync of the same counts, in one run.
+"""Journal next to a raw write and fdatasync of the same counts, in one run.
 
     python benchmarks/journal_speed.py [--folder F] [--rounds R] [--json]
 
@@ -39,7 +39,7 @@ SETTINGS: dict[str, float | str] = {
 
 
 def shots(count: int, first: int) -> list[Shot]:
-    """Make records with counts of their own, so that no checksum is remembered."""
+    """Return records with counts of their own, so that no checksum is cached."""
     noise = np.random.default_rng(first).integers(-3000, 3000, SAMPLES + count).astype(np.int16)
     calibration = Calibration(coefficients_v=np.array([0.0, 3e-4]), resolution_bits=16, range_v=10.0)
     return [
@@ -61,13 +61,13 @@ def shots(count: int, first: int) -> list[Shot]:
 
 
 class RawSegments:
-    """Plain writes with fdatasync into files allocated as the journal's are, and as large."""
+    """Plain writes with fdatasync into files allocated like the journal's, and as large."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._descriptor, self._room, self._number = folder, -1, 0, 0
 
     def write_s(self, group: list[Shot]) -> float:
-        """Seconds until the counts of a group are durable, with a new file where the last one is full."""
+        """Return seconds until the counts of a group are durable; a full file is replaced by a new one."""
         start = time.perf_counter()
         n_bytes = sum(shot.waveform.counts.nbytes for shot in group)
         if self._room < n_bytes:
@@ -85,14 +85,14 @@ class RawSegments:
         return time.perf_counter() - start
 
     def close(self) -> None:
-        """Let go of the present file."""
+        """Close the present file."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
 
 
 def journal_s(journal: Journal, group: list[Shot]) -> float:
-    """Seconds of the same through the journal, from record to acknowledgement."""
+    """Return seconds of the same through the journal, from record to acknowledgement."""
     start = time.perf_counter()
     for shot in group:
         journal.append(shot)
@@ -101,7 +101,7 @@ def journal_s(journal: Journal, group: list[Shot]) -> float:
 
 
 def main() -> None:
-    """Print microseconds a shot, ratios, and the seconds of a start."""
+    """Print microseconds per shot, ratios, and the seconds of a start."""
     arguments = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

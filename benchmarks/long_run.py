@@ -1,4 +1,4 @@
-"""A recorder that runs for 350 or 3,500 simulated hours: memory, open handles and folder over the sets.
+"""Recorder over 350 or 3,500 simulated hours: memory, open handles and folder size over the sets.
 
     python benchmarks/long_run.py [--hours 3500] [--folder F] [--json]
 
@@ -37,7 +37,7 @@ POOL = 97
 
 
 class Instruments:
-    """Strike, record and pulse-echo at once."""
+    """Striker, digitizer and pulse-echo unit in one."""
 
     def __init__(self, settings: Settings) -> None:
         adc, echo, random = settings.twin.adc, settings.twin.echo, np.random.default_rng(0)
@@ -69,13 +69,13 @@ class Instruments:
         self._taken = 0
 
     def arm(self, key: ShotKey) -> None:
-        """Nothing is set up."""
+        """Do nothing: nothing is set up."""
 
     def strike(self, key: ShotKey) -> None:
-        """Nothing falls."""
+        """Do nothing: no striker falls."""
 
     def read(self, timeout_s: float) -> Acquired:
-        """Give the next record of the pool, as bytes of its own."""
+        """Return the next record of the pool, as bytes of its own."""
         self._taken += 1
         found = self._shots[self._taken % POOL]
         return Acquired(
@@ -88,18 +88,18 @@ class Instruments:
         )
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Give the same echo."""
+        """Return the same echo."""
         return Echo(waveform=self._echo, gain_db=30.0, offset_v=0.0, averages=16)
 
     def disarm(self) -> None:
-        """Nothing was armed."""
+        """Do nothing: nothing was armed."""
 
     def make_safe(self) -> None:
-        """Nothing is on."""
+        """Do nothing: nothing is on."""
 
 
 def sampled() -> tuple[float, int]:
-    """Resident memory in MB and open handles of this process; Linux and Windows tell them."""
+    """Return resident memory in MB and open handles of this process; on Linux and Windows only."""
     memory, handles = resident_bytes(), open_handles()
     if memory is None or handles is None:
         raise SystemExit("this system tells neither the memory nor the handles of a process")
@@ -107,7 +107,7 @@ def sampled() -> tuple[float, int]:
 
 
 def slope_per_1000(sets: list[int], values: list[float]) -> float:
-    """Slope of a line through the samples behind the first fifth."""
+    """Return the slope of a line through the samples after the first fifth."""
     first = len(sets) // 5
     return float(np.polyfit(sets[first:], values[first:], 1)[0] * 1000.0)
 

@@ -1,4 +1,4 @@
-"""Memory of one service of many tests: listed, asked one after the other, followed all at once, left alone.
+"""Memory of one service of many tests: listed, requested in turn, followed all at once, idle.
 
 The folders are copies of one invented test, served by a process of its own in which idle tests close after a
 second instead of a minute. Everything is done twice, so that what is not given back shows::
@@ -58,7 +58,7 @@ OF_A_TEST = ("info", "trends/B?points=200", "alarms")
 
 
 class Service:
-    """A service of many tests in a process of its own."""
+    """Service of many tests in a process of its own."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -69,7 +69,7 @@ class Service:
         return self._process.stdout.readline()
 
     def use(self) -> dict[str, int]:
-        """Memory, open tests and threads now."""
+        """Return memory, open tests and threads now."""
         assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
@@ -88,7 +88,7 @@ class Service:
 
 @contextmanager
 def service(own: Path, folders: list[Path]) -> Iterator[Service]:
-    """Serve folders."""
+    """Run a service of the folders."""
     command = [sys.executable, "-c", SERVER, *map(str, [own, *folders])]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
@@ -97,7 +97,7 @@ def service(own: Path, folders: list[Path]) -> Iterator[Service]:
 
 
 def made(base: Path, tests: int, sets: int) -> list[Path]:
-    """Make the folders."""
+    """Create the folders."""
     first = base / "test 1"
     first.mkdir()
     filled = FilledFolder(first, Settings())
@@ -109,7 +109,7 @@ def made(base: Path, tests: int, sets: int) -> list[Path]:
 
 
 def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
-    """Everything that `main` prints."""
+    """Return everything that `main` prints."""
     steps: dict[str, dict[str, int]] = {}
     with service(base, made(base, tests, sets)) as served, ExitStack() as stack:
         limits = httpx.Limits(max_connections=tests + 1)  # each stream takes one
@@ -147,7 +147,7 @@ def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

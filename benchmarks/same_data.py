@@ -1,4 +1,4 @@
-"""Two data folders compared: every row and every dataset of the same test must be the same.
+"""Comparison of two data folders: all rows and datasets of the same test must be equal.
 
     python benchmarks/same_data.py FOLDER OTHER [--json]
 
@@ -25,7 +25,7 @@ OF_THE_RUN = {"cost", "versions", "created_utc_ns"}
 
 
 def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Rows of every table, without what differs between two runs of one test."""
+    """Return rows of every table, without differences between two runs of one test."""
     with sqlite3.connect(f"file:{folder / 'catalogue.sqlite'}?mode=ro", uri=True) as connection:
         connection.row_factory = sqlite3.Row
         names = [
@@ -48,7 +48,7 @@ def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
-    """Name, bytes and attributes of every dataset of every file, but for the provenance."""
+    """Yield name, bytes and attributes of every dataset of every file, except the provenance."""
     for path in sorted((folder / "sets").glob("*.h5")):
         found: list[tuple[str, bytes, str]] = []
 

@@ -1,4 +1,4 @@
-"""How far the solid plate's waveform is from that of finer meshes, and what a cold shot of it costs.
+"""Difference of the solid plate's waveform from finer meshes, and the cost of a cold shot.
 
     python benchmarks/solid_convergence.py [--depths 0 0.5 0.8] [--quick | --one-basis] [--json]
 
@@ -42,7 +42,7 @@ MESHES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cold:
-    """One cold shot."""
+    """Cold shot."""
 
     unknowns: int
     processor_s: float
@@ -72,7 +72,7 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
 
 
 def rows(depths: list[float], names: list[str]) -> Iterator[dict[str, Any]]:
-    """Every mesh at every depth, compared with the last one."""
+    """Return every mesh at every depth, compared with the last one."""
     plate = PlateParameters(model="rigid_wall")
     ShotModel(ChainParameters(), plate, CorrosionParameters(), duration_s=RECORD_S).shot()  # compiles
     for depth in depths:

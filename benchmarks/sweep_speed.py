@@ -1,4 +1,4 @@
-"""Rows a second of a sweep: a loop of single shots against threads and processes.
+"""Rows per second of a sweep: a loop of single shots against threads and processes.
 
     python benchmarks/sweep_speed.py [--workers N] [--rows N] [--json]
 

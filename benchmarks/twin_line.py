@@ -1,4 +1,4 @@
-"""Cost of the twin from shot to verdict without recorder and storage, and of a shot with nuisance.
+"""Cost of the twin from shot to assessment without recorder and storage, and of a shot with variability.
 
     python benchmarks/twin_line.py                 three transducers for 350 h: 12,750 strikes, less a hole's
     python benchmarks/twin_line.py --hours 50 --demo
@@ -53,7 +53,7 @@ def settings_of(level: str, hours: float) -> Settings:
 
 
 def line(hours: float) -> tuple[float, int]:
-    """Seconds and strikes of the whole experiment."""
+    """Return seconds and strikes of the complete test."""
     warm = settings_of("laboratory", 1.0)
     specimen = specimen_of(warm)
     for position in POSITIONS:
@@ -69,7 +69,7 @@ def line(hours: float) -> tuple[float, int]:
 
 
 def ratios() -> dict[str, float]:
-    """Cost of a shot at each level over that of one without nuisance, at the corroding B."""
+    """Return the cost of a shot at each level over that of one without variability, at the corroding B."""
     # The same plates for all: where their arrays lie in memory is worth a tenth.
     transducers = transducers_of(settings_of("none", 350.0))
     specimens = {

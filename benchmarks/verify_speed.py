@@ -1,4 +1,4 @@
-"""`solimon verify` in MB per CPU second, beside reading the same files otherwise, in one run.
+"""`solimon verify` in MB per CPU second, next to other readings of the same files, in one run.
 
     python benchmarks/verify_speed.py [--folder F] [--hours H] [--rounds R] [--json]
 
@@ -28,7 +28,7 @@ from daq_service.cli.maintenance.verify import verify_folder
 
 
 def cpu_s(work: Callable[[], object]) -> float:
-    """CPU seconds of this process."""
+    """Return CPU seconds of this process."""
     start = time.process_time()
     work()
     return time.process_time() - start
@@ -48,7 +48,7 @@ def read_with_h5py(paths: list[Path]) -> None:
 
 
 def measured(folder: Path, rounds: int) -> dict[str, float]:
-    """Least CPU seconds of each way."""
+    """Return the minimum CPU seconds of each way."""
     paths = sorted((folder / "sets").glob("*.h5"))
     known = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
     ways: dict[str, Callable[[], object]] = {

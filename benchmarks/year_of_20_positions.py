@@ -1,4 +1,4 @@
-"""A year of 20 positions (350,000 sensor-sets): what every route, `solimon status` and a start read of it.
+"""Year of 20 positions (350,000 sensor-sets): data read by every route, `solimon status` and a start.
 
     python benchmarks/year_of_20_positions.py [--folder F] [--sets N] [--rounds R] [--json]
 
@@ -84,7 +84,7 @@ STATUS, STARTS = "what `solimon status` reads", 3
 
 
 def year_settings() -> Settings:
-    """Give 20 positions and a set every half hour for as long as `SETS` takes."""
+    """Return 20 positions and a set every half hour for the duration of `SETS`."""
     positions: dict[str, Any] = {"P00": {"method": "pulse_echo"}}
     positions |= {f"P{number:02d}": {"method": "solitary_wave"} for number in range(1, 20)}
     phases = [{"until_h": SETS / 2, "interval_h": 0.5}]
@@ -95,7 +95,7 @@ def year_settings() -> Settings:
 
 
 def fill(folder: Path, settings: Settings, n_sets: int) -> None:
-    """Store sets as a recorder does, many in a transaction; names of files, and the last file itself."""
+    """Store sets as a recorder does, many per transaction; return file names, and the last file itself."""
     due_sets = plan(settings.schedule.phases, parse_utc(settings.clock.epoch))[:n_sets]
     rng, sequence = np.random.default_rng(0), 0
     with open_catalogue(folder, writer=True) as catalogue:
@@ -135,7 +135,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
 
 
 def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, Any]:
-    """Give what a recorder says and remembers of a judged set beside its distance: 1.5 kB of columns."""
+    """Return chart, limits, diagnosis and state of an assessed set: 1.5 kB of columns."""
     change = tuple(1e-3 * drawn[k % len(drawn)] for k in range(len(COMPONENTS)))
     cause = Diagnosis(
         cause=OK,
@@ -163,7 +163,7 @@ def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, An
 def _add_set(
     commit: SetCommit, settings: Settings, due: DueSet, sequence: int, rng: np.random.Generator
 ) -> int:
-    """Add everything that a set says to a commit; return the sequence of its last shot."""
+    """Add all rows of a set to a commit; return the sequence of its last shot."""
     file = set_reference(due.set_index, due.due_utc_ns)
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
@@ -288,7 +288,7 @@ def _add_event(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) 
 
 
 def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
-    """Give a set with records, so that waveforms can be read; sequences count from ``first``."""
+    """Return a set with records, so that waveforms can be read; sequences count from ``first``."""
     rng, records, echo = np.random.default_rng(first), list[Any](), settings.twin.echo
     for position, place in settings.positions.items():
         for shot_index in range(1 if place.method == "pulse_echo" else settings.schedule.shots_per_set):
@@ -334,7 +334,7 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
 
 @dataclass(frozen=True, slots=True)
 class Seconds:
-    """What an answer took: on the clock, and of the processor, which other people's work changes less."""
+    """Wall time and processor time of a call; other people's work changes the latter less."""
 
     wall: float
     cpu: float
@@ -351,7 +351,7 @@ def _since(began: tuple[float, float], call: str = "") -> Seconds:
 
 
 def times_s(function: Callable[[], object], rounds: int) -> list[Seconds]:
-    """Seconds of each call."""
+    """Return the seconds of each call."""
     taken = []
     for _ in range(rounds):
         began = _now()
@@ -361,7 +361,7 @@ def times_s(function: Callable[[], object], rounds: int) -> list[Seconds]:
 
 
 def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
-    """Give ways to ask for a route: as it is, filtered, first and deep pages come by the cursors."""
+    """Return queries of a route: plain, filtered, first and deep pages by the cursors."""
     end_h = n_sets / 2
     middle, position = round(chance.uniform(0.0, end_h), 1), f"P{chance.randrange(20):02d}"
     index = chance.randrange(n_sets)
@@ -395,7 +395,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
 
 
 async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -> dict[str, list[Seconds]]:
-    """Seconds of every answer by route, without a socket, and of the stream's catch-up."""
+    """Return seconds of every answer by route, without a socket, and of the stream's catch-up."""
     app, chance = create_app(settings, folder), random.Random(0)
     taken: dict[str, list[Seconds]] = {}
     transport = httpx.ASGITransport(app)
@@ -427,7 +427,7 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
 
 
 async def _pages_s(client: httpx.AsyncClient, asked: str) -> AsyncIterator[Seconds]:
-    """Seconds of the first pages of a listing, or of the one answer."""
+    """Yield seconds of the first pages of a listing, or of the one answer."""
     url = httpx.URL(asked)
     for _ in range(PAGES):
         began = _now()
@@ -442,7 +442,7 @@ async def _pages_s(client: httpx.AsyncClient, asked: str) -> AsyncIterator[Secon
 
 
 def start_s(folder: Path, settings: Settings) -> dict[str, float]:
-    """Seconds of what a start reads, by stage."""
+    """Return seconds of the reads at a start, by stage."""
     taken: dict[str, float] = {}
     began = time.perf_counter()
 
@@ -486,7 +486,7 @@ PLAIN = {
 
 
 def plain_s(folder: Path, statements: tuple[str, ...]) -> float:
-    """Seconds of reading the same by scans, without making objects of the rows."""
+    """Return seconds of reading the same by scans, without making objects of the rows."""
     with closing(sqlite3.connect(f"file:{folder / 'catalogue.sqlite'}?mode=ro", uri=True)) as connection:
         began = time.perf_counter()
         for statement in statements:
@@ -496,7 +496,7 @@ def plain_s(folder: Path, statements: tuple[str, ...]) -> float:
 
 
 def measured(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
-    """Everything that is printed."""
+    """Return everything that is printed."""
     settings = year_settings()
     if not (folder / "catalogue.sqlite").exists():
         fill(folder, settings, n_sets)

@@ -46,7 +46,7 @@ CATEGORIES = ["devtools.timeline", "v8", "blink.user_timing"]
 
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
-    """Serve a folder in a process of its own; its address."""
+    """Serve a folder in a process of its own; yield its address."""
     config = folder / "test.json"
     config.write_text(one_position().model_dump_json(), encoding="utf-8")
     command = [
@@ -72,7 +72,7 @@ def served(folder: Path) -> Iterator[str]:
 
 
 def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]:
-    """Milliseconds of script in each step, by the thread's own clock; script within script counts once.
+    """Return milliseconds of script in each step, by the thread's own clock; nested script counts once.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]
 
 
 def stepped(page: Any, number: int, do: Callable[[], None]) -> None:
-    """Do one step, and let what it asks for come and be drawn; a step that changes nothing is none."""
+    """Perform one step, and wait until its data is drawn; a step that changes nothing does not count."""
     before = page.evaluate(SPAN)
     page.evaluate(f"performance.mark('step {number} begins')")
     do()
@@ -157,7 +157,7 @@ def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr] # it is there
     parser.add_argument("--sets", type=int, default=20_000)
     parser.add_argument("--steps", type=int, default=60)

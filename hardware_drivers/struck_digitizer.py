@@ -46,7 +46,7 @@ class StruckDigitizer(ABC):
         self._armed = self._struck = None
 
     def strike(self, key: ShotKey) -> bool:
-        """Store the first strike at the armed position and return True; any other is lost."""
+        """Store the first strike at the armed position; return whether this is it, any other is lost."""
         heard = self._armed is not None and self._armed.position == key.position and self._struck is None
         if heard:
             self._struck = key

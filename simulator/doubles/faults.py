@@ -1,4 +1,4 @@
-"""Faults on order: any call can fail, hang, lie, or end the process."""
+"""Faults on request: any call can fail, hang, lie, or end the process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS: tuple[FaultKind, ...] = ("error", "hang", "lie", "death")
 
 @dataclass(slots=True, eq=False)
 class Fault:
-    """One order.
+    """Requested fault.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Fault:
 
 
 class Faults:
-    """Orders not yet carried out."""
+    """Pending faults."""
 
     def __init__(self) -> None:
         self._orders: list[Fault] = []
@@ -56,7 +56,7 @@ class Faults:
 
     @property
     def hanging(self) -> int:
-        """Calls that hang now."""
+        """Return the calls that hang now."""
         with self._lock:
             return self._hanging
 
@@ -70,7 +70,7 @@ class Faults:
         times: int = 1,
         seconds: float | None = None,
     ) -> None:
-        """Order a fault for the nth call of a function from now on.
+        """Request a fault for the nth call of a function from now on.
 
         Raises
         ------
@@ -93,12 +93,12 @@ class Faults:
             self._orders.append(Fault(function, found, code or 0, nth - 1, times, seconds))
 
     def clear(self) -> None:
-        """Forget every order; hanging calls go on hanging until released."""
+        """Discard every pending fault; hanging calls continue to hang until released."""
         with self._lock:
             self._orders.clear()
 
     def due(self, function: str, attribute: str) -> Fault | None:
-        """Fault that strikes this call, counting it."""
+        """Return the fault of this call, and count the call."""
         with self._lock:
             struck: Fault | None = None
             for order in tuple(self._orders):
@@ -115,7 +115,7 @@ class Faults:
             return struck
 
     def hang(self, seconds: float | None) -> None:
-        """Keep this call until released or for so long."""
+        """Hold this call until it is released or ``seconds`` are over."""
         with self._released:
             count = self._release_count
             self._hanging += 1
@@ -125,7 +125,7 @@ class Faults:
             self._released.notify_all()
 
     def release(self) -> None:
-        """Let every hanging call go on."""
+        """Release every hanging call."""
         with self._released:
             self._release_count += 1
             self._released.notify_all()
@@ -139,7 +139,7 @@ class Faults:
 def lie(
     entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Plausible wrong answer: success without doing it, or what came out bent a little.
+    """Return a plausible wrong answer: success without doing it, or slightly changed values.
 
     A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
     empty, a handle belongs to no task.

@@ -1,4 +1,4 @@
-"""Seeded faults of the rig: what befalls one shot, a pure function of seed, key and hour.
+"""Seeded faults of the rig for one shot, a pure function of seed, key and hour.
 
 `parameters.faults` says which faults a position has; here they are drawn, and strike and chain altered.
 The altered shot takes the same way as a sound one: through the physics, the trigger and the ADC. Each
@@ -28,7 +28,7 @@ HOURS_PER_YEAR = 8_766.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotFaults:
-    """What befalls one shot; the defaults are a sound one.
+    """Faults of one shot; the defaults are a sound one.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
 
 
 def _grown(onset_h: float, ramp_h: float, hour_h: float) -> float:
-    """Part of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
+    """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
     if hour_h < onset_h:
         return 0.0
     return min((hour_h - onset_h) / ramp_h, 1.0) if ramp_h > 0.0 else 1.0
@@ -136,7 +136,7 @@ def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[fl
 
 
 def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
-    """Tilt the disk further, with its own loss of gain, and change the gain."""
+    """Tilt the disk further, with the loss of gain from the tilt, and change the gain."""
     tilt_rad = min(strike.tilt_rad + faults.tilt_rad, STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
     return replace(
@@ -147,7 +147,7 @@ def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) 
 
 
 def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
-    """Chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
+    """Return the chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
     return replace(
         chain.with_worn_contacts(faults.radius_factor),
         contact_damping_n_s_per_m=chain.contact_damping_n_s_per_m * faults.contact_damping_factor,
@@ -157,7 +157,7 @@ def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
 def interference_of_shot(
     faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[Interference | None, dict[str, float]]:
-    """Draw hum and spikes around one strike, with their truth; None where a position has neither.
+    """Draw hum and spikes around one strike, with their true values; None where a position has neither.
 
     Spikes come evenly from the arming to the end of the record. The truth counts those inside a record
     that the wave itself triggers.
@@ -196,7 +196,7 @@ def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
 def _spikes(
     spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw times and heights of a Poisson process from the arming to the record's end."""
+    """Draw times and heights of a Poisson process from arming to the record's end."""
     if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
     random = generator(seed, Purpose.SPIKES, key=key)

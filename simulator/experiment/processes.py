@@ -1,4 +1,4 @@
-"""Random processes with memory whose value at any set or hour is computed alone, from the seed.
+"""Random processes with autocorrelation, each set or hour computed independently from the seed.
 
 A recursion would have to be run from the start. Here each value is a sum over a window of innovations that
 are drawn by blocks, each block from a key of its own, so that shots may be computed in any order, in any
@@ -32,12 +32,12 @@ def _kept(drawn: FloatArray) -> FloatArray:
 
 
 def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
-    """Student's t scaled to variance 1."""
+    """Draw Student's t scaled to variance 1."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
 def memory_weights(memory: FloatArray) -> FloatArray:
-    """Weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n), oldest first.
+    """Return weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n).
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def memory_weights(memory: FloatArray) -> FloatArray:
 
 
 def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
-    """Stationary processes of variance 1 at a set, shape (n,).
+    """Return stationary processes of variance 1 at a set, shape (n,).
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
 
 @lru_cache(maxsize=256)
 def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
-    """Innovations of `LAGS` sets, those before the experiment in block 0."""
+    """Return the innovations of `LAGS` sets, those before the test in block 0."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
     return _kept(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
 
@@ -82,7 +82,7 @@ def _innovations(seed: int, position: str, block: int, size: int, dof: float) ->
 def wander(
     purpose: Purpose, seed: int, position: str, size: int, shortest_h: float, longest_h: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Periods in h and phases in rad of `size` wanders, shape (size, WANDER_TERMS).
+    """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
 
     One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
     """
@@ -93,7 +93,7 @@ def wander(
 
 
 def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Value of `wander`, of variance 1, at an hour, shape (size,).
+    """Return the value of `wander`, of variance 1, at an hour, shape (size,).
 
     n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
     """
@@ -105,7 +105,7 @@ def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray
 def place_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
-    """How many re-seats there were, and where the last one left each source.
+    """Return the number of re-seats so far, and each source's value after the last one.
 
     The re-seats are a Poisson process. The places are normal with SD 1, independent of the ones before, so
     that a step is as often up as down; before the first re-seat they are 0.
@@ -123,7 +123,7 @@ def place_after_reseats(
 def _reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Hours of a block's re-seats, rising, and the places after each, shape (count, size)."""
+    """Draw hours of a block's re-seats, rising, and the values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
@@ -133,6 +133,6 @@ def _reseats(
 
 @lru_cache(maxsize=256)
 def noisy(seed: int, hour: int, probability: float) -> bool:
-    """Whether an hour of the experiment is noisy, the same for all positions."""
+    """Return whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
     return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -1,4 +1,4 @@
-"""Where the sources of a level of nuisance stand when a set is struck: what its shots share.
+"""Values of the sources of variability that all shots of a set share.
 
 Memory, wander, re-seats and age of each contact and bead (`processes`), and the temperatures.
 """
@@ -31,7 +31,7 @@ LIQUID_LEVELS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Climate:
-    """Surroundings of all positions: temperature on top of `scatter.Temperature`, and the liquid."""
+    """Environment of all positions: temperature on top of `scatter.Temperature`, and the liquid."""
 
     parameters: NuisanceParameters
     warmest_hour_h: float
@@ -40,29 +40,32 @@ class Climate:
     refilled: float
 
     def room_k(self, hour_h: float) -> float:
-        """Day and season."""
+        """Return the temperature change by day and season."""
         day = math.cos(2.0 * math.pi * (hour_h - self.warmest_hour_h) / 24.0)
         season = math.cos(2.0 * math.pi * hour_h / HOURS_PER_YEAR - self.season_rad)
         return self.parameters.day_amplitude_k * day + self.parameters.season_amplitude_k * season
 
     def process_k(self, hour_h: float) -> float:
-        """Plate over room."""
+        """Return the temperature of the plate relative to the room."""
         return self.parameters.process_sd_k * float(wandering(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
-        """Depth of the liquid over the full one: it falls step by step and is topped up at once."""
+        """Return the liquid's depth relative to the full one.
+
+        It falls step by step and is refilled at once.
+        """
         part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
         return liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
 
 
 def liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
-    """All depths of the liquid over the full one."""
+    """Return all depths of the liquid relative to the full one."""
     steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
     return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
 
 
 def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season, process and when the liquid is topped up."""
+    """Draw season, process and the times of refills."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
@@ -77,7 +80,7 @@ def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Sources:
-    """The sources of a level at a chain of n bodies, one number for each contact, bead or transducer.
+    """Sources of a level at a chain of n bodies, one number for each contact, sphere or transducer.
 
     Attributes
     ----------
@@ -135,7 +138,10 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
 
 
 def _curvature(chain: ChainParameters) -> FloatArray:
-    """``d ln A / d ln R_j = (1/2) (1/R_j) / (1/R_i + 1/R_j)``: A goes with the root of the joint radius."""
+    """Return ``d ln A / d ln R_j = (1/2) (1/R_j) / (1/R_i + 1/R_j)``.
+
+    A goes with the root of the joint radius.
+    """
     bent = np.array([1.0 / chain.body(index).radius_m for index in range(chain.bodies)] + [0.0])
     change = np.zeros((chain.bodies, chain.bodies + 1))
     for contact in range(chain.bodies):
@@ -146,7 +152,7 @@ def _curvature(chain: ChainParameters) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seat:
-    """What the shots of one set share.
+    """Values that the shots of one set share.
 
     Attributes
     ----------

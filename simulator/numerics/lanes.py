@@ -1,4 +1,4 @@
-"""Several numbers side by side in compiled code: one vector register, one shot in each lane.
+"""Vector registers in compiled code: one shot in each lane.
 
 LLVM vectorises loops only where it may reorder sums, and then the last digits depend on how many numbers
 it took together. Here the width is written down and every operation acts on each lane by itself, rounded
@@ -33,7 +33,7 @@ register_model: Any = numba_register_model
 
 
 class Lanes(types.Type):
-    """numba's type of a vector of float64."""
+    """Vector type of float64 for numba."""
 
     def __init__(self, width: int) -> None:
         self.width = width
@@ -64,7 +64,7 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any
 
 @_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
-    """`width` numbers of a contiguous array from `start` on."""
+    """Load `width` numbers of a contiguous array from `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -87,7 +87,7 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
-    """Put the same number in every lane."""
+    """Copy a number into every lane."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -109,7 +109,7 @@ def _one_width(given: Sequence[Any]) -> Lanes | None:
 
 
 def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
-    """Intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+    """Return an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
         lanes = _one_width(given)
@@ -175,7 +175,7 @@ unless_within = _of_lanes(4, _where_not_less_or_equal)
 
 @_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
-    """Whether every lane is greater than zero."""
+    """Return whether every lane is greater than zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         zero = ir.Constant(values[0].type, [0.0] * lanes.width)
@@ -188,7 +188,7 @@ def all_positive(typing: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
-    """One lane, its index a constant."""
+    """Return one lane, its index a constant."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.extract_element(values[0], ir.IntType(32)(index.literal_value))
@@ -197,7 +197,7 @@ def lane(typing: Any, lanes: Any, index: Any) -> Any:
 
 
 def _operator(symbol: Any, method: str) -> None:
-    """Give an operator to vectors, with a vector or a number on the other side."""
+    """Register an operator for vectors, with a vector or a number on the other side."""
 
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:

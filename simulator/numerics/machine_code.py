@@ -1,4 +1,4 @@
-"""Machine code of the loops that numba compiles, kept on disk where that can be done.
+"""Machine code of the loops that numba compiles, cached on disk where possible.
 
 numba keeps it in `__pycache__` beside the loop's file, in the user's cache folder if that cannot be
 written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles anew in each process.
@@ -28,7 +28,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any
 
 
 class _Compilations(event.Listener):
-    """Counts what is compiled for each other; loading what was kept is no such event."""
+    """Listener that counts nested compilations; loading from the cache is no such event."""
 
     def __init__(self, report: Callable[[bool], None]) -> None:
         self._report, self._depth = report, 0
@@ -46,7 +46,7 @@ class _Compilations(event.Listener):
 
 @contextmanager
 def compilation_reported(report: Callable[[bool], None]) -> Iterator[None]:
-    """Call ``report`` with True when machine code begins to be made, with False when it is there.
+    """Call ``report`` with True when a compilation starts, with False when it ends.
 
     It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.
     """

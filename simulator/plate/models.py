@@ -1,4 +1,4 @@
-"""Which model of the plate a specimen asks for, as the chain feels it: modes at any depth of the patch."""
+"""Plate model of a specimen: modes at any depth of the patch."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ DEPTHS_KNOWN = 256
 
 
 class ModalPlate(Protocol):
-    """A finite plate under the chain."""
+    """Finite plate under the chain."""
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """All modes the model knows with the patch thinned by `depth_fraction`."""
+        """Return all modes of the model with the patch thinned by `depth_fraction`."""
         ...
 
 
 def modal_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, cache_folder: Path | None
 ) -> ModalPlate | None:
-    """Make the plate of `plate.model` ready; None for an analytic anchor, which has no modes.
+    """Prepare the plate of `plate.model`; None for an analytic reference, which has no modes.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def modal_plate(
 
 
 class KeptSolid:
-    """Solid plate whose modes are computed for each depth once, and kept on disk.
+    """Solid plate whose modes are computed once per depth, and cached on disk.
 
     With `plate.solid.one_basis` what is computed and kept is a basis for all depths.
 
@@ -82,7 +82,7 @@ class KeptSolid:
         self._lock = threading.Lock()
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Modes with the patch thinned by `depth_fraction`."""
+        """Return modes with the patch thinned by `depth_fraction`."""
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:

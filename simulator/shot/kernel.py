@@ -1,4 +1,4 @@
-"""The time loop of chain and plate, compiled.
+"""Compiled time loop of chain and plate.
 
 Unknowns are the displacements u_i from the static equilibrium and, for every contact, the impulse
 
@@ -97,7 +97,7 @@ _compiled = compiled(nogil=True, error_model="numpy")
 
 @_compiled
 def _raised(overlap: Any, law: int) -> Any:
-    """``overlap^(1 + p)``, by square roots only."""
+    """Return ``overlap^(1 + p)``, by square roots only."""
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -110,7 +110,7 @@ def _raised(overlap: Any, law: int) -> Any:
 
 @_compiled
 def _raised_slope(overlap: Any, law: int) -> Any:
-    """Differentiate `_raised` by the overlap."""
+    """Return the derivative of `_raised` by the overlap."""
     if law == 0:
         return overlap * 0.0 + 1.0
     root = sqrt(overlap)
@@ -127,7 +127,7 @@ _step = compiled(inline="always", nogil=True, error_model="numpy")
 
 @_step
 def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
-    """Put all still but the striker: before first touch it fell freely, an exact history."""
+    """Return all bodies at rest except the striker: before first touch it fell freely, an exact history."""
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
     overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
@@ -172,7 +172,7 @@ def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodi
 def _contact(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Weights of what acts on the plate's contact within a step."""
+    """Return the weights of everything that acts on the plate's contact within a step."""
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -254,7 +254,7 @@ def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> La
 
 @_step
 def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Energy of all contacts and of the striker, one shot after the other."""
+    """Return the energy of all contacts and of the striker, one shot after the other."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -277,7 +277,7 @@ def _struck_twice(
     step: float,
     speed: float,
 ) -> float:
-    """Let the striker of lane `k` touch the body below it again at step `n`; returns the energy this gives.
+    """Bounce the striker of lane `k` onto the body below at step `n`; return the added energy.
 
     It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
     the body below.
@@ -304,7 +304,7 @@ def _struck_twice(
 def _turned(
     bent: Any, gain: Any, m: Any, i_bends: Any, i_gains: Any, s_bends: Any, s_gains: Any, i0: Any, s0: Any
 ) -> Any:
-    """Deflection without what I and S add, and the state after a step with it.
+    """Return the deflection without the share of I and S, and the state after a step with it.
 
     What the last step gave is added at the end: nothing else needs to wait for its contact.
     """
@@ -315,7 +315,7 @@ def _turned(
 
 @_step
 def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
-    """Advance the modes of a plate, eight of one shot at a time; the deflections of each shot summed.
+    """Advance the modes of a plate, eight of one shot at a time; return the summed deflections of each shot.
 
     The sums lack what I and S add.
     """
@@ -341,7 +341,7 @@ def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: 
 
 @_step
 def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
-    """Leave the sum over eight modes of each of two shots where `_sum_of_eight` adds nothing to it."""
+    """Store the sum over eight modes of two shots so that `_sum_of_eight` adds nothing to it."""
     n = 2 * BLOCK
     store(sums, n, total)
     store(sums, n + BLOCK, other)
@@ -353,7 +353,7 @@ def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
 
 @_step
 def _turn_modes_of_many(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> None:
-    """Do the same for shots side by side, one mode of all at a time; sums of every eighth mode."""
+    """Advance the modes of shots side by side, one mode of all at a time; sums of every eighth mode."""
     for j in range(BLOCK):
         total = broadcast(0.0, width)
         for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
@@ -396,7 +396,7 @@ def _predict_places(bodies: Bodies, last: Last, row_of_last: int, size: int, h24
 
 @_step
 def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
-    """Find what every body gets from above, from the predicted overlaps; `striker`: what moves that one."""
+    """Compute impulses on every body from the predicted overlaps; `striker`: what moves that one."""
     store(bodies.given, 0, striker)
     for k in range(0, size, BLOCK):
         q = load(bodies.static_overlap, k, BLOCK)
@@ -472,7 +472,7 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
 def _press_plate(
     last: Last, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
 ) -> Last:
-    """Solve the plate's contact and move the last body; `above`: what this gets from the contact above."""
+    """Solve the plate's contact and move the last body; `above`: its impulse from the contact above."""
     h24 = contact.step / 24.0
     h38 = 9.0 * h24
     n_plate, s_plate, per_mass = contact.static_force, contact.static_dashpot, contact.per_mass
@@ -516,7 +516,7 @@ def _press_plate(
 def _dissipated_at_plate(
     last: Last, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
-    """Book what the plate's contact and, at its release, the cut modes lose in a step."""
+    """Add the losses of a step in the plate's contact and, at its release, in the cut modes."""
     impulse = total - last.total
     # Touching for the part of the step in which `stretch` is positive.
     part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
@@ -531,7 +531,7 @@ def _dissipated_at_plate(
 
 @_step
 def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
-    """Correct the forces inside the chain and their impulses, and book what the dashpots take."""
+    """Correct the forces inside the chain and their impulses, and add the dashpots' losses."""
     for k in range(0, size, BLOCK):
         d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
         d = d + load(bodies.static_overlap, k, BLOCK)
@@ -556,7 +556,7 @@ def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None
 def _force(
     i: int, bodies: Bodies, last: Last, contact: Contact, chains: Chains, closing: Any, width: int, law: int
 ) -> Any:
-    """Force of contact i; `closing`: rate at which the one with the plate is pressed."""
+    """Return the force of contact i; `closing`: rate at which the one with the plate is pressed."""
     if i < chains.mass.shape[0] - 1:
         p = load(bodies.overlap, i * width, width)
         rate = load(bodies.v0, i * width, width) - load(bodies.v0, (i + 1) * width, width)
@@ -572,7 +572,7 @@ def _force(
 
 @_step
 def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chains, width: int) -> Any:
-    """Energy of chain and contacts, and what left them, but for the modes of the plate."""
+    """Return energy and losses of chain and contacts, without the modes of the plate."""
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):
@@ -651,7 +651,7 @@ def _energy_of_modes_of_many(
 
 @_step
 def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
-    """Energy of a mode under I now, one and two steps ago and S now."""
+    """Return the energy of a mode under I now, one and two steps ago and S now."""
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
     speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))

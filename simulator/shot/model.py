@@ -1,4 +1,4 @@
-"""A shot: chain and plate integrated together from the striker's first touch.
+"""Shot: chain and plate integrated together from the striker's first touch.
 
 `ShotModel` is prepared once for a transducer, a plate and an outline of the patch; each shot may then
 have its own depth, drop height and tilt. Shots of one model can be computed in several threads, and many
@@ -70,7 +70,7 @@ DEPTHS_KEPT = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """One strike; what is None is that of the model's parameters.
+    """Strike; a value of None is that of the model's parameters.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class ShotModel:
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
-        """Another chain on the same plate; a plate's reduction takes seconds, so it is shared.
+        """Return another chain on the same plate, whose reduction is shared since it takes seconds.
 
         A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
         set. It has a step of its own where that must be less than 0.4 of this model's.
@@ -232,7 +232,7 @@ class ShotModel:
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
-        """Return the same chain on the plate with its liquid so many times as deep; None for a dry plate."""
+        """Return the same chain with another depth of the liquid; None for a dry plate."""
         liquid = self._plate.liquid
         if liquid is None:
             return None
@@ -254,7 +254,7 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Force at the sensor for one strike.
+        """Return the force at the sensor for one strike.
 
         Parameters
         ----------
@@ -280,12 +280,12 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Force at the sensor above a through hole: an incident wave and no reflected one."""
+        """Return the force at the sensor above a through hole: an incident wave and no reflected one."""
         impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
-        """Force at the sensor for many strikes, in their order; errors as for `shot`.
+        """Return the force at the sensor for many strikes, in their order; errors as for `shot`.
 
         Strikes at the same depth are computed side by side. Each has the digits that it has alone.
         """
@@ -420,7 +420,7 @@ class ShotModel:
         )
 
     def _attempts(self) -> Iterator[tuple[int, bool]]:
-        """Halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+        """Return halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
         for halving in range(STEP_HALVINGS + 1):
             yield halving, False
             if halving and self._modal_plate is not None:

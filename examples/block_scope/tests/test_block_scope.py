@@ -1,4 +1,4 @@
-"""What the suites of solimon cannot know: this oscilloscope's codes, statuses and losses."""
+"""Tests beyond solimon's suites: this oscilloscope's codes, statuses and losses."""
 
 from ctypes import c_int16
 from typing import Any

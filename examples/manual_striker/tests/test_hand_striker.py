@@ -1,4 +1,4 @@
-"""A person who is asked."""
+"""Tests of the person as a striker."""
 
 import pytest
 from manual_striker.hand import KIND, HandParameters

@@ -1,4 +1,4 @@
-"""The relay board's dialogue, and that a coil goes off whatever happens in between."""
+"""Tests of the relay board's protocol, and that a coil goes off after any interruption."""
 
 import re
 
@@ -26,7 +26,7 @@ def board():
 
 @pytest.fixture
 def sent(board, monkeypatch):
-    """Every line that goes to the board, in order."""
+    """Return every line sent to the board, in order."""
     lines = []
     answer = board.answer
 
@@ -40,7 +40,7 @@ def sent(board, monkeypatch):
 
 @pytest.fixture
 def slept(board, monkeypatch):
-    """Let the board be found, and time pass at once."""
+    """Provide the board without waiting times."""
     seconds = []
     monkeypatch.setattr("serial.serial_for_url", lambda port, **_: PortDouble(board))
     monkeypatch.setattr(relay.time, "sleep", seconds.append)

@@ -1,4 +1,4 @@
-"""Entry points of analog input: making a channel, setting it up, reading it."""
+"""Entry points of analog input: create a channel, configure it, read it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCreateAIVoltageChan`."""
+    """Answer `DAQmxCreateAIVoltageChan`."""
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
     if not minimum_v < maximum_v:
@@ -54,7 +54,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
-    """Note settings of an input task."""
+    """Store settings of an input task."""
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
@@ -64,7 +64,7 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 
 
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgSampClkTiming`."""
+    """Answer `DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
         raise statuses.unfit(task.name, "SampClk.Src", detail, requested=arguments["source"])
@@ -80,7 +80,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgAnlgEdgeRefTrig`."""
+    """Answer `DAQmxCfgAnlgEdgeRefTrig`."""
     _change(
         task,
         {
@@ -94,12 +94,12 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
 
 def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxDisableRefTrig`."""
+    """Answer `DAQmxDisableRefTrig`."""
     _change(task, {"RefTrig.Type": NO_TRIGGER})
 
 
 def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
-    """Wait for samples and take them, shape (count,); a task that does not run is started."""
+    """Wait for samples and return them, shape (count,); a task that does not run is started."""
     if task.state is not TaskState.RUNNING:
         tasks.start(bench, task)
     run: Acquisition = task.run
@@ -131,7 +131,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
 
 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxReadBinary..`: raw codes in the width asked for."""
+    """Answer `DAQmxReadBinary..`: raw codes in the requested width."""
     if task.kind != "ai":
         raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)
     bits, raw_bits = np.dtype(dtype).itemsize * 8, task.device.kind.raw_sample_bits

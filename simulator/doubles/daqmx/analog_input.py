@@ -40,7 +40,7 @@ LONGEST_TRAVEL_NS = NS_PER_S
 
 @dataclass(slots=True, eq=False)
 class InputChannel:
-    """One virtual channel."""
+    """Virtual input channel."""
 
     name: str
     device: Device
@@ -50,12 +50,12 @@ class InputChannel:
 
     @property
     def physical_name(self) -> str:
-        """Board and input."""
+        """Return board and input."""
         return f"{self.device.name}/ai{self.number}"
 
     @property
     def range_v(self) -> float:
-        """Range that the board takes for these limits.
+        """Return the range that the board takes for these limits.
 
         Raises
         ------
@@ -74,13 +74,13 @@ class InputChannel:
 
     @property
     def calibration(self) -> Calibration:
-        """Scaling polynomial as the board holds it now."""
+        """Return the board's present scaling polynomial."""
         return self.device.calibration(self.range_v)
 
 
 @dataclass(slots=True, eq=False)
 class Acquisition:
-    """What a started task acquires.
+    """Acquisition of a started task.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Acquisition:
 
 
 class AnalogInput:
-    """`tasks.TaskKind` of analog input."""
+    """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
         """Check limits, rate, record and trigger against the board."""
@@ -121,14 +121,14 @@ class AnalogInput:
         _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """One timing engine a board: its analog input belongs to one task at a time."""
+        """Return one timing engine per board: its analog input belongs to one task at a time."""
         return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Nothing drives a line here."""
+        """Do nothing: analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Sample from now on, or from the start trigger on."""
+        """Start sampling now, or at the start trigger."""
         task.n_starts += 1
         if task.device.parameters.simulated:
             codes = counts_of(_made_up_volts(task), task.channel.calibration)
@@ -139,17 +139,17 @@ class AnalogInput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Begin sampling and tell whoever waits for this board's start trigger."""
+        """Start sampling and notify all waiters for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Drop what was acquired."""
+        """Discard the acquired samples."""
         if task.run is not None:
             task.run.ended = True
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """When the record is complete as far as the strikes known now tell."""
+        """Return when the record is complete, as far as the known strikes determine it."""
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
@@ -161,7 +161,7 @@ class AnalogInput:
 
 
 def _made_up_volts(task: Task) -> FloatArray:
-    """Full-scale sine wave with three percent of noise, as NI's driver makes it up for a simulated device.
+    """Return a full-scale sine wave with 3 % noise, as NI's driver does for a simulated device.
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
     """
@@ -173,7 +173,7 @@ def _made_up_volts(task: Task) -> FloatArray:
 
 
 def rate_hz(task: Task) -> float:
-    """Sample rate that the board takes.
+    """Return the sample rate that the board takes.
 
     Raises
     ------
@@ -191,13 +191,13 @@ def rate_hz(task: Task) -> float:
 
 
 def start_delay_s(task: Task) -> float:
-    """Time from the start trigger to the first sample that the board takes: whole ticks of its timebase."""
+    """Return the time from the start trigger to the first sample, in whole ticks of the board's timebase."""
     timebase_hz = task.device.kind.timebase_hz
     return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
 
 
 def record_samples(task: Task) -> int:
-    """Return the length of the record, in samples a channel."""
+    """Return the length of the record, in samples per channel."""
     return int(task.settings.get("SampQuant.SampPerChan", 1000))
 
 
@@ -222,7 +222,7 @@ def _verify_start(bench: Bench, task: Task) -> None:
 
 
 def _verify_record(task: Task) -> None:
-    """Finite, and with room for the pre-trigger; the trigger on a channel of the task."""
+    """Check that the record is finite and holds the pre-trigger, and that the trigger is a task's channel."""
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
         raise statuses.unfit(task.name, "SampQuant.SampMode", "The double samples finite records only.")
@@ -259,7 +259,7 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
 
 
 def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find what triggers first: hardware ignores what comes before the pre-trigger is full."""
+    """Find the first trigger: hardware ignores triggers before the pre-trigger is full."""
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
     found = _first_wave(bench, task, run, filled_ns)
@@ -284,7 +284,7 @@ def _after_trigger_ns(task: Task) -> int:
 def _first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
-    """Find the first strike whose wave passes the level, its record and when it does."""
+    """Find the first strike whose wave crosses the level, its record and the time of the crossing."""
     position = _position(bench, task.channel)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
@@ -308,7 +308,7 @@ def _first_wave(
 
 
 def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wave_ns: int | None) -> bool:
-    """Take a record that crosstalk or hum starts before the wave does, if there is one.
+    """Return a record that crosstalk or hum triggers before the wave does, if there is one.
 
     The comparator sees the same noise as the record that follows.
     """
@@ -346,7 +346,7 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
 
 
 def recorded(bench: Bench, task: Task) -> Counts | None:
-    """Codes of a record whose time is over; without a trigger it is whatever came."""
+    """Return the codes of a finished record; without a trigger, of the present input."""
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
         return run.codes
@@ -360,7 +360,7 @@ def recorded(bench: Bench, task: Task) -> Counts | None:
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:
-    """Position whose sensor is wired to this input."""
+    """Return the position whose sensor is wired to this input."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
         if (wiring.ai_serial, wiring.ai_channel) == wanted:
@@ -369,7 +369,7 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
 
 
 def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Look again where a record counted on a strike that was cut short or called off."""
+    """Search again for the trigger of a record whose strike was cut short or cancelled."""
     for task in bench.tasks.values():
         run = task.run
         if isinstance(run, Acquisition):
@@ -379,7 +379,7 @@ def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
 
 
 def started_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
-    """Correct what counted on an edge of a pulse that ends now, before its time."""
+    """Correct the tasks that depend on an edge of a pulse that ends early."""
     for task in bench.tasks.values():
         run = task.run
         if not isinstance(run, Acquisition) or run.ended or waits_for(task) != short_name(terminal):

@@ -1,4 +1,4 @@
-"""A counter's pulse, and the coil and striker it moves."""
+"""Counter pulse, and the coil and striker it moves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COUNTER_BITS = 32
 
 @dataclass(slots=True, eq=False)
 class PulseChannel:
-    """One counter that makes a pulse; between pulses its pin is low."""
+    """Counter that generates one pulse; between pulses its pin is low."""
 
     name: str
     device: Device
@@ -35,28 +35,28 @@ class PulseChannel:
 
     @property
     def physical_name(self) -> str:
-        """Board and counter."""
+        """Return board and counter."""
         return f"{self.device.name}/ctr{self.number}"
 
     @property
     def pin(self) -> str:
-        """Where the pulse leaves the board."""
+        """Return the terminal where the pulse leaves the board."""
         return self.terminal or self.device.kind.counter_terminals[self.number]
 
     @property
     def internal_output(self) -> str:
-        """Terminal inside the board that follows the counter wherever its pin is routed."""
+        """Return the terminal inside the board that follows the counter, independent of the pin's route."""
         return f"Ctr{self.number}InternalOutput"
 
     @property
     def line(self) -> str:
-        """Physical line in the record."""
+        """Return the physical line in the record."""
         return f"{self.device.serial_number}/{self.pin}"
 
 
 @dataclass(slots=True, eq=False)
 class Generation:
-    """What a started task generates: begin None while a start trigger is awaited."""
+    """Pulse generation of a started task: start is None while a start trigger is awaited."""
 
     begin_ns: int | None
     pulse: Pulse | None = None
@@ -64,7 +64,7 @@ class Generation:
 
 
 class CounterOutput:
-    """`tasks.TaskKind` of pulse generation."""
+    """Pulse generation as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
         """Check the times against the counter: at least two ticks, at most its width."""
@@ -87,7 +87,7 @@ class CounterOutput:
         bench.lines.drive(task.channel.line, 0, bench.settle(), "idle")
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Count from now on, or from the start trigger on."""
+        """Start counting now, or at the start trigger."""
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
@@ -114,7 +114,7 @@ class CounterOutput:
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Take the line low; a striker that hangs there falls now."""
+        """Take the line low; a lifted striker falls now."""
         run: Generation | None = task.run
         if run is None:
             return
@@ -125,12 +125,12 @@ class CounterOutput:
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """When the pulse is over."""
+        """Return when the pulse ends."""
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
 def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
-    """Take a pin away from its counter, which counts on: by itself a task is done when it would have been."""
+    """Disconnect a pin from its counter, which counts on, so that the task is done at its planned time."""
     run: Generation = task.run
     bench.lines.cut(task.channel.line, level, now_ns, cause)
     strike, run.strike = run.strike, None
@@ -142,12 +142,12 @@ def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
 
 
 def _ns(time_s: float) -> int:
-    """Time in whole ticks of the counter's timebase."""
+    """Return a time in whole ticks of the counter's timebase."""
     return round(time_s * TIMEBASE_HZ) * round(NS_PER_S / TIMEBASE_HZ)
 
 
 def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
-    """Striker that a pulse lifts and drops: the coil holds while its line is high."""
+    """Return the strike of a pulse: the striker is held while the coil's line is high."""
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
         return None
@@ -158,7 +158,7 @@ def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
 
 
 def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCreateCOPulseChanTime`."""
+    """Answer `DAQmxCreateCOPulseChanTime`."""
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:

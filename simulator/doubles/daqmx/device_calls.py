@@ -18,7 +18,7 @@ POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
 def _present(bench: Bench, name: str) -> Device:
-    """Board for an operation on the hardware itself: one that is gone is absent (-200324)."""
+    """Return the board for an operation on the hardware itself; a removed one is absent (-200324)."""
     try:
         return bench.devices.find(name)
     except Status as status:
@@ -28,7 +28,7 @@ def _present(bench: Bench, name: str) -> Device:
 
 
 def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
-    """Whoever used the board loses it, and its lines go low."""
+    """Take a board away from its tasks and set its lines low."""
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
             tasks.lose(bench, task, status, cause)
@@ -40,7 +40,7 @@ def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
 
 
 def reset(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxResetDevice`: whoever used the board loses it, its lines go low, its routes are gone."""
+    """Answer `DAQmxResetDevice`: tasks lose the board, its lines go low, its routes are removed."""
     device = _present(bench, arguments["device_name"])
     _taken_away(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
@@ -48,7 +48,7 @@ def reset(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxSelfCal`: only while no task holds the board."""
+    """Answer `DAQmxSelfCal`: only while no task holds the board."""
     device = _present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
@@ -59,7 +59,7 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetSelfCalLastDateAndTime`; of a simulated device as NI's driver answers."""
+    """Answer `DAQmxGetSelfCalLastDateAndTime`, for a simulated device as NI's driver does."""
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
         raise Status(statuses.INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
@@ -78,7 +78,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 
 
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxSetDigitalPowerUpStates`."""
+    """Answer `DAQmxSetDigitalPowerUpStates`."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
@@ -89,14 +89,14 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetDigitalPowerUpStates`."""
+    """Answer `DAQmxGetDigitalPowerUpStates`."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     return {"state": [device.power_up_states.get(line, POWER_UP_TRISTATE) for line in lines]}
 
 
 def unplug(bench: Bench, serial_number: int) -> None:
-    """Take a board out: its tasks are lost, its lines go low."""
+    """Remove a board: its tasks are lost, its lines go low."""
     _taken_away(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()

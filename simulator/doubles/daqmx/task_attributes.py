@@ -1,4 +1,4 @@
-"""Attributes of a task as a whole: its name, timing, triggers, and whether its watchdog expired."""
+"""Attributes of a task: its name, timing, triggers, and the expiry of its watchdog."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Values = Mapping[str, Callable[[Task], object]]
 
 
 def _kept(name: str, default: float | str) -> Callable[[Task], object]:
-    """Find what was set, or the driver's default."""
+    """Return the stored setting, or the driver's default."""
     return lambda task: task.settings.get(name, default)
 
 
@@ -59,7 +59,7 @@ _TRIGGER: Values = {
 
 
 def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxGet<family>Attribute`."""
+    """Answer `DAQmxGet<family>Attribute`."""
     if family != "Task":
         _require_channels(task)
     if family == "Timing" and task.kind == "co":
@@ -68,7 +68,7 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
 
 
 def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxSet<family>Attribute`."""
+    """Answer `DAQmxSet<family>Attribute`."""
     _require_channels(task)
     name = settable(task, arguments, family)
     tasks.changed(task)
@@ -87,7 +87,7 @@ def _has_expired(task: Task) -> int:
 
 
 def get_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxGetWatchdogAttribute`."""
+    """Answer `DAQmxGetWatchdogAttribute`."""
     if task.kind != "watchdog":
         raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
     bench.settle()

@@ -1,4 +1,4 @@
-"""The same supply with other command sets, each written from its maker's manual and not from the driver.
+"""Supply doubles with other command sets, each written from its maker's manual, not from the driver.
 
 Aim-TTi: PL-P and MX series instruction manuals; answers carry headers and units, trips are events of the
 limit register, which reading clears, and errors a register of one number. Korad: KA3000 remote control
@@ -29,7 +29,7 @@ class AimTtiSupply(Supply):
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip a protection: an event of the limit register besides."""
+        """Trip a protection, and set the event in the limit register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
@@ -68,7 +68,7 @@ class AimTtiSupply(Supply):
 
 
 class KoradSupply(Supply):
-    """A KA3005P: it tells no errors and no trips, and ignores what it cannot do."""
+    """KA3005P: it reports no errors and no trips, and ignores invalid commands."""
 
     IDENTITY = "KORADKA3005PV2.0"
     FRAMING = Framing(
@@ -77,7 +77,7 @@ class KoradSupply(Supply):
     )
 
     def answer(self, command: str) -> str | None:
-        """Obey one command; only questions are answered."""
+        """Execute one command; only queries have a response."""
         if command == "*IDN?":
             return self.identity
         if command == "STATUS?":
@@ -106,7 +106,7 @@ class RigolSupply(Supply):
         self._guarded = {"VOLT": False, "CURR": False}
 
     def answer(self, command: str) -> str | None:
-        """Obey one command; questions are answered, others are not."""
+        """Execute one command; only queries have a response."""
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
             error = self._obey(header, argument)

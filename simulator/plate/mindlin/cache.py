@@ -1,4 +1,4 @@
-"""Reduced plates kept on disk: one for every depth of a patch (`array_cache` tells how they are kept)."""
+"""Cache of reduced plates on disk: one for every depth of a patch (see `array_cache`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["DEFAULT_CACHE_FOLDER", "reduced_plate", "reduction_key"]
 def reduced_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
 ) -> ReducedPlate:
-    """Reduce the plate for this outline of the patch, or read the reduction kept in `folder`.
+    """Return the reduced plate for this outline of the patch, from the cache in `folder` if it is there.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def reduced_plate(
 
 
 def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
-    """Hash of the specimen, of the code that reduces it and of the libraries that compute it."""
+    """Return a hash of the specimen, of the code that reduces it and of the libraries that compute it."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
     return content_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

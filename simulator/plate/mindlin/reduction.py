@@ -1,4 +1,4 @@
-"""One small model of the plate for every depth of its patch.
+"""Reduced model of the plate for every depth of its patch.
 
 The plate is linear and driven by one force, so the vectors that matter span a Krylov space (`krylov`). A
 few dozen hold everything the plate does within a record. Such spaces at several depths are merged into
@@ -66,7 +66,7 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
 
 
 def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
-    """Order of elimination: line by line towards the first grid line, along the shorter lines."""
+    """Return the elimination order: line by line towards the first grid line, along the shorter lines."""
     node, kind = np.divmod(plate.free, DOF_PER_NODE)
     line, place = np.divmod(node, len(plate.y_m))
     if len(plate.y_m) > len(plate.x_m):
@@ -75,7 +75,7 @@ def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
 
 
 def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray) -> FloatArray:
-    """Fill the rows of `vectors` with a Krylov space; columns that make its modes of them.
+    """Fill the rows of `vectors` with a Krylov space; return columns that make modes of them.
 
     Each mode is as strong as its part in the response.
     """
@@ -102,7 +102,7 @@ def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
 
 
 def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
-    """Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
+    """Return the Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
     projected = np.zeros((len(terms), len(vectors), len(vectors)))
     columns = np.ascontiguousarray(vectors.T)
     for term, into in zip(terms, projected, strict=True):
