@@ -38,7 +38,7 @@ ALARM_EVERY = 50
 SECRET = "DEAD_RECEIVER_SECRET"
 
 
-class Dead:
+class DeadReceiver:
     """Receiver that accepts every connection, reads everything, and never answers."""
 
     def __init__(self) -> None:
@@ -54,14 +54,14 @@ class Dead:
         writer.close()
 
 
-def refused_port() -> int:
+def find_unused_port() -> int:
     """Return a port at which no server listens."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
-def notifying(port: int | None, receivers: int) -> dict[str, Any]:
+def notification_table(port: int | None, receivers: int) -> dict[str, Any]:
     """Return the table of notifications; each alarm is sent at once."""
     if port is None:
         return {}
@@ -69,17 +69,17 @@ def notifying(port: int | None, receivers: int) -> dict[str, Any]:
     return {"receivers": {f"r{n}": one for n in range(receivers)}, "rules": [{"group_s": 0.0}]}
 
 
-async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
+async def measure(base: Path, receivers: int, requests: int) -> dict[str, Any]:
     """Return everything that `main` prints."""
-    dead = Dead()
+    dead = DeadReceiver()
     server = await asyncio.start_server(dead.hear, "127.0.0.1", 0)
-    ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": refused_port()}
+    ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": find_unused_port()}
     with ExitStack() as stack:
         services: dict[str, Service] = {}
         folders: list[FilledFolder] = []
         for way, port in ports.items():
-            tables = notifying(port, receivers)
-            folder = FilledFolder(_made(base / way), Settings(notifications=tables))
+            tables = notification_table(port, receivers)
+            folder = FilledFolder(_create_folder(base / way), Settings(notifications=tables))
             stack.callback(folder.close)
             for index in range(SETS):
                 folder.add_set(index, stored=False)
@@ -89,7 +89,7 @@ async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
         _raise_alarms(folders, 0)
         async with asyncio.timeout(60.0):
             await dead.reached.wait()
-        times_s, used_s = await _asked_in_turn(services, opened, folders, requests)
+        times_s, used_s = await _request_in_turn(services, opened, folders, requests)
         attempts = {"none": 0, "dead": len(dead.connections), "refusing": await _failures(opened["refusing"])}
         for _, writer in opened.values():
             writer.close()
@@ -112,7 +112,7 @@ async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
     }
 
 
-async def _asked_in_turn(
+async def _request_in_turn(
     services: dict[str, Service], opened: dict[str, Connected], folders: list[FilledFolder], requests: int
 ) -> tuple[dict[tuple[str, str], list[float]], dict[str, float]]:
     """Return the time of each request by way and path, and the processor time of each service meanwhile."""
@@ -126,7 +126,7 @@ async def _asked_in_turn(
     return times_s, {way: one.use()["cpu_s"] - before_s[way] for way, one in services.items()}
 
 
-def _made(folder: Path) -> Path:
+def _create_folder(folder: Path) -> Path:
     folder.mkdir()
     return folder
 
@@ -160,7 +160,7 @@ def main() -> None:
     options = parser.parse_args()
     os.environ[SECRET] = "sixteen or more characters"
     with tempfile.TemporaryDirectory() as name:
-        found = asyncio.run(measured(Path(name), options.receivers, options.requests))
+        found = asyncio.run(measure(Path(name), options.receivers, options.requests))
     if options.json:
         print(json.dumps(found))
         return

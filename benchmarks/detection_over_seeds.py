@@ -33,8 +33,8 @@ import numpy as np
 
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
-from analysis.statistics.chart import designed, with_memory
-from analysis.statistics.design import next_alarming
+from analysis.statistics.chart import chart_with_phi, design_chart
+from analysis.statistics.design import next_alarm
 from analysis.statistics.directions import directions_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
@@ -90,7 +90,7 @@ def settings_of(run: Run) -> Settings:
     return load_settings(None, overrides={"twin": twin, "schedule": {"end_h": run.hours}})
 
 
-def carry_out(run: Run) -> Outcome:
+def assess_run(run: Run) -> Outcome:
     settings = settings_of(run)
     specimen = specimen_of(settings)
     assessments: dict[int, Any] = {}
@@ -122,7 +122,7 @@ def carry_out(run: Run) -> Outcome:
         "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in assessed_rows],
     }
     if run.why:
-        standing |= otherwise(
+        standing |= alarms_of_other_designs(
             vectors, [i for i, row in assessments.items() if row.in_baseline], assessed_rows, settings
         )
     table = np.array(baseline_vectors)
@@ -140,7 +140,7 @@ def carry_out(run: Run) -> Outcome:
     )
 
 
-def otherwise(
+def alarms_of_other_designs(
     vectors: Mapping[int, Sequence[float]],
     baseline: Sequence[int],
     assessed_rows: Sequence[Any],
@@ -154,10 +154,10 @@ def otherwise(
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
     budget = run_length(settings)
-    found, designs = directions_of(history), designed(history, budget)
+    found, designs = directions_of(history), design_chart(history, budget)
     charts = {
-        "chart, memory as found": with_memory(history, found.matrix, found.guarded, designs.limit),
-        "chart, no memory": with_memory(history, found.matrix, 0.0 * found.phi, designs.limit),
+        "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),
+        "chart, no memory": chart_with_phi(history, found.matrix, 0.0 * found.phi, designs.limit),
         "chart, limit of a known baseline": replace(designs, limit=known_limit(p, budget)),
     }
     rows = [row.set_index - begins for row in assessed_rows]
@@ -165,7 +165,7 @@ def otherwise(
     for name, chart in charts.items():
         alarming, standing[name] = False, []
         for value in mewma(chart.whitened(sets)[n:])[np.array(rows) - n].tolist():
-            alarming = next_alarming(alarming, value, chart.limit, p)
+            alarming = next_alarm(alarming, value, chart.limit, p)
             standing[name].append(alarming)
     along = (sets - designs.mean) @ designs.directions
     for name, phi in (
@@ -280,7 +280,7 @@ def main() -> int:
         runs = [run for run in runs if not run.drift]
     outcomes = []
     with ProcessPoolExecutor(max_workers=options.jobs) as pool:
-        for outcome in pool.map(carry_out, runs):
+        for outcome in pool.map(assess_run, runs):
             outcomes.append(outcome)
             print(describe(outcome), file=sys.stderr, flush=True)
     quiet = [outcome for outcome in outcomes if not outcome.run.drift]

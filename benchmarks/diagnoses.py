@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from cause_slopes import MEAN_TILT_RAD, slopes, walls
 
-from analysis.diagnosis.diagnose import diagnosis_of, remembering
+from analysis.diagnosis.diagnose import diagnosis_of, state_with_diagnosis
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
@@ -133,7 +133,7 @@ SENSOR_FAULTS = (
 WARMER = Case(name="temperature", sizes=(("kelvin", 15.0),), ramp=48)
 
 
-def place_of(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[FloatArray, float]:
+def source_values(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[FloatArray, float]:
     """Return a case's addition to the sources, shape (2 n + 3,), and to the temperature in K."""
     place, warmer_k = np.zeros(2 * n + 3), 0.0
     rows = {"drop_height": 2 * n, "gain": 2 * n + 1, "tilt_rad": 2 * n + 2}
@@ -167,7 +167,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     places, seats = [], []
     for index in range(BASELINE + AFTER):
         hour_h = float(index)
-        place, fault_k = place_of(case, case.part(index), reseat, n)
+        place, fault_k = source_values(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
         seat = seat_of_set(
             level, seed, "B", chain, weather, set_index=index, hour_h=hour_h, warmer_k=warmer_k
@@ -195,7 +195,9 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     return struck[0], struck[1], depth
 
 
-def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE) -> dict[str, Any]:
+def diagnose_run(
+    case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE
+) -> dict[str, Any]:
     """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
     logs, confirmation_logs, depths = sets_of(case, level, model, seed)
     design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
@@ -212,12 +214,12 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
         memory = with_set(memory, design.mean, logs[index], index)
         state = next_alarm_state(state, bool(beyond[index]), RULE)
         diagnosis = diagnosis_of(memory, design, suspicious=state.active)
-        memory = remembering(memory, diagnosis)
+        memory = state_with_diagnosis(memory, diagnosis)
         if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
             memory = with_confirmation(memory, design.mean, confirmation_logs[index])
             diagnosis = diagnosis_of(memory, design, suspicious=True)
-            memory = remembering(memory, diagnosis)
+            memory = state_with_diagnosis(memory, diagnosis)
         calls[diagnosis.cause] += 1
         for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
@@ -315,7 +317,7 @@ def main() -> None:
         for k in range(options.runs)
     ]
     with ProcessPoolExecutor(options.workers) as executor:
-        rows = list(executor.map(run, *zip(*todo, strict=True), chunksize=4))
+        rows = list(executor.map(diagnose_run, *zip(*todo, strict=True), chunksize=4))
     if options.json:
         print(json.dumps({"mean_tilt_rad": MEAN_TILT_RAD, "runs": rows}))
     else:

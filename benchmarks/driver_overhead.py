@@ -82,7 +82,7 @@ def own_time_s(wired: DaqmxParameters) -> float:
     return wired.initial_delay_s + wired.pulse_s + fall_s + acquired.truth["trigger_time_s"] + after_s
 
 
-class Bare:
+class BareCalls:
     """Minimal calls of a hand-written program, by the same transport."""
 
     def __init__(self, wired: DaqmxParameters) -> None:
@@ -171,7 +171,7 @@ def through_the_driver(wired: DaqmxParameters) -> Iterator[Callable[[], None]]:
 
 
 def measure(wired: DaqmxParameters, shots: int) -> dict[str, float]:
-    bare = Bare(wired)
+    bare = BareCalls(wired)
     ways: dict[str, Callable[[], Any]] = {
         "bare_s": bare.committed_once,
         "driver_s": lambda: through_the_driver(wired),

@@ -81,7 +81,7 @@ def waveform_of(volts: NDArray[np.float64], echo: EchoParameters) -> Waveform:
     )
 
 
-def recorded(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
+def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
     """Return the averaged record of a wall with noise and bubbles."""
     key = ShotKey(position="A", set_index=seed, shot_index=0)
     found, _ = disturbance(echo, seed=seed, key=key)
@@ -111,7 +111,7 @@ def readings(
     for seed in range(first_seed, first_seed + walls):
         spot = rough_spot(echo, seed=seed, position="A")
         wall = probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
-        found = travel_time(recorded(wall, echo, seed), reference)
+        found = travel_time(record_wall(wall, echo, seed), reference)
         read = thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m
         )

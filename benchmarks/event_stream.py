@@ -131,7 +131,7 @@ def percentile(values: list[float], share: float) -> float:
 Connected = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-async def ask(port: int, path: str, **options: Any) -> Connected:
+async def send_request(port: int, path: str, **options: Any) -> Connected:
     """Send a request and leave the response unread."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, **options)
     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
@@ -150,7 +150,7 @@ async def answer_s(connected: Connected, path: str) -> float:
     return time.perf_counter() - began
 
 
-async def small_answers(port: int) -> dict[str, float]:
+async def measure_small_answers(port: int) -> dict[str, float]:
     """Return the median time of small requests, ms."""
     found = {}
     for path in ("/healthz", "/"):
@@ -161,7 +161,7 @@ async def small_answers(port: int) -> dict[str, float]:
     return found
 
 
-async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
+async def probe_during(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
     """Request ``/healthz`` repeatedly during ``work``; return its result, and each time."""
     connected, times_s = await asyncio.open_connection("127.0.0.1", port), list[float]()
     task = asyncio.ensure_future(work)
@@ -172,13 +172,13 @@ async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
     return await task, times_s
 
 
-async def deliveries(
+async def measure_deliveries(
     folder: Path, served: Service, path: str, clients: int, rate_hz: float, seconds: float
 ) -> Any:
     """Return the latency of all deliveries, and processor time of connecting and of delivering."""
     latencies_s: list[float] = []
     before = served.use()["cpu_s"]
-    opened = [await ask(served.port, path) for _ in range(clients)]
+    opened = [await send_request(served.port, path) for _ in range(clients)]
     for reader, _ in opened:
         await reader.readuntil(b"\r\n\r\n")
     # Each has heard that it is connected; the server has begun to wait for all of them.
@@ -224,10 +224,10 @@ def payload_of(number: int) -> dict[str, Any]:
     return {"number": number, "cause": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
 
 
-async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any]:
+async def resume_clients(served: Service, clients: int, frozen: int) -> dict[str, Any]:
     """Resume clients from the first event at once, next to some that read nothing at all."""
     before = served.use()
-    silent = [await ask(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
+    silent = [await send_request(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
 
     async def all_of_them() -> int:
         # In a process of their own: what they read would hold up whoever asks for `/healthz` here.
@@ -237,7 +237,7 @@ async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any
         return int(output)
 
     began = time.perf_counter()
-    lost, times_s = await looking(served.port, all_of_them())
+    lost, times_s = await probe_during(served.port, all_of_them())
     took_s = time.perf_counter() - began
     after = served.use()
     for _, writer in silent:
@@ -254,11 +254,11 @@ async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any
     }
 
 
-async def lost_by_those_who_come_back(port: int, clients: int) -> int:
+async def count_incomplete_clients(port: int, clients: int) -> int:
     """Read every stored event at many clients at once; return how many of them lack or repeat any."""
 
     async def resume() -> bool:
-        reader, writer = await ask(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
+        reader, writer = await send_request(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
         content = await reader.readuntil(b"id: %d\n" % STORED_EVENTS)
         writer.close()
         return [int(number) for number in ID.findall(content)] != list(range(1, STORED_EVENTS + 1))
@@ -266,7 +266,7 @@ async def lost_by_those_who_come_back(port: int, clients: int) -> int:
     return sum(await asyncio.gather(*(resume() for _ in range(clients))))
 
 
-def strikes(clients: int) -> dict[str, float]:
+def measure_strike_delays(clients: int) -> dict[str, float]:
     """Return the delays of a recorder's strikes (of the twin, in real time) next to streams.
 
     A set each second of `SHOTS` strikes; the first sets, in which kernels are compiled, are left out.
@@ -307,7 +307,7 @@ def strikes(clients: int) -> dict[str, float]:
 
 async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: int) -> None:
     """Read many streams and discard them, until the recorder has ended."""
-    opened = [await ask(port, "/api/v1/stream") for _ in range(clients)]
+    opened = [await send_request(port, "/api/v1/stream") for _ in range(clients)]
 
     async def read(reader: asyncio.StreamReader) -> None:
         while await reader.read(65536):
@@ -321,20 +321,20 @@ async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: i
         writer.close()
 
 
-def measured(folder: Path, options: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
+def measure(folder: Path, options: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
     """Return everything that `main` prints."""
     found: dict[str, Any] = {}
     for way in ("nagle", "ours"):
         report(f"small answers, {way}")
         with service(folder, way) as served:
-            found.setdefault("small_answers_ms", {})[way] = asyncio.run(small_answers(served.port))
+            found.setdefault("small_answers_ms", {})[way] = asyncio.run(measure_small_answers(served.port))
     small = found["small_answers_ms"]
     small["ratio"] = {path: round(small["nagle"][path] / small["ours"][path], 1) for path in small["ours"]}
     for way, path in (("fastapi", "/plain"), ("ours", "/api/v1/stream")):
         report(f"{options.clients} streams, {way}")
         with service(folder, way) as served:
             load = (folder, served, path, options.clients, options.rate, options.seconds)
-            found.setdefault("streams", {})[way] = asyncio.run(deliveries(*load))
+            found.setdefault("streams", {})[way] = asyncio.run(measure_deliveries(*load))
     return found
 
 
@@ -350,7 +350,7 @@ def main() -> None:
     parser.add_argument("--load", type=int, metavar="PORT", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.load is not None:
-        print(asyncio.run(lost_by_those_who_come_back(options.load, options.clients)))
+        print(asyncio.run(count_incomplete_clients(options.load, options.clients)))
         return
 
     def report(what: str) -> None:
@@ -358,10 +358,10 @@ def main() -> None:
 
     found: dict[str, Any] = {"cores": os.cpu_count()}
     with tempfile.TemporaryDirectory() as name:
-        begin(Path(name))
-        found |= measured(Path(name), options, report)
+        create_test(Path(name))
+        found |= measure(Path(name), options, report)
     with tempfile.TemporaryDirectory() as name:
-        begin(Path(name))
+        create_test(Path(name))
         with open_catalogue(Path(name), writer=True) as catalogue:
             commit = SetCommit()
             for number in range(STORED_EVENTS):
@@ -373,12 +373,12 @@ def main() -> None:
             with service(Path(name)) as served:
                 report(f"{options.clients} come back, {frozen} frozen")
                 found["come_back"][f"{frozen} frozen"] = asyncio.run(
-                    come_back(served, options.clients, frozen)
+                    resume_clients(served, options.clients, frozen)
                 )
     found["strikes_off_their_times"] = {}
     for clients in (0, options.clients):
         report(f"strikes beside {clients} streams")
-        found["strikes_off_their_times"][f"{clients}"] = strikes(clients)
+        found["strikes_off_their_times"][f"{clients}"] = measure_strike_delays(clients)
     if options.json:
         print(json.dumps(found))
         return
@@ -387,7 +387,7 @@ def main() -> None:
             print(f"{part:<25}{name:<12}{value}")
 
 
-def begin(folder: Path) -> None:
+def create_test(folder: Path) -> None:
     """Make an empty test."""
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.create_experiment(

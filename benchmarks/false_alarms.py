@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.healthy_sequences import NAMES, P, healthy
 
-from analysis.statistics.baseline_check import named_in
+from analysis.statistics.baseline_check import find_anomalies
 from analysis.statistics.design import Budget
 from analysis.statistics.sequence import Assessed, assess
 
@@ -40,7 +40,7 @@ def assessed_sequence(vectors: Any, n: int) -> Assessed:
     return assess(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
 
 
-def promise(task: tuple[str, int, int]) -> dict[str, float]:
+def assess_healthy(task: tuple[str, int, int]) -> dict[str, float]:
     """Assess five years of one healthy sensor."""
     name, n, seed = task
     found = assessed_sequence(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
@@ -63,7 +63,7 @@ def delay_sets(task: tuple[str, int, int]) -> float:
 BAD = ("healthy", "8 sets 8 SD off alike", "one set 10 SD off", "trend of 3 SD each")
 
 
-def named(task: tuple[str, int, int]) -> bool:
+def is_fault_named(task: tuple[str, int, int]) -> bool:
     """Return whether the check names the kind of a baseline's fault (of a healthy one: any)."""
     fault, n, seed = task
     random = np.random.default_rng([seed, n])
@@ -77,17 +77,17 @@ def named(task: tuple[str, int, int]) -> bool:
         vectors[rows[0]] += 10.0 * direction
     elif fault == BAD[3]:
         vectors += 3.0 * np.linspace(0.0, 1.0, n)[:, None]
-    kinds = {one.kind for one in named_in(vectors)}
+    kinds = {one.kind for one in find_anomalies(vectors)}
     wanted = {BAD[1]: "group", BAD[2]: "outlier", BAD[3]: "trend"}.get(fault)
     return bool(kinds) if wanted is None else wanted in kinds
 
 
-def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
+def measure(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
     """Return everything that `main` prints; ``each`` maps a function over tasks."""
     found: dict[str, Any] = {"healthy": {}, "delay_sets": {}, "named": {}}
     for n in BASELINES:
         for name in NAMES:
-            outcomes = list(each(promise, [(name, n, seed) for seed in range(runs)]))
+            outcomes = list(each(assess_healthy, [(name, n, seed) for seed in range(runs)]))
             means = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
             found["healthy"][f"{name}, n = {n}"] = means
             print(f"{name}, n = {n}", file=sys.stderr)
@@ -96,7 +96,7 @@ def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
             found["delay_sets"][f"{name}, n = {n}"] = float(np.median(delays))
     for fault in BAD:
         found["named"][fault] = float(
-            np.mean(list(each(named, [(fault, 48, seed) for seed in range(5 * runs)])))
+            np.mean(list(each(is_fault_named, [(fault, 48, seed) for seed in range(5 * runs)])))
         )
     return found
 
@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with ProcessPoolExecutor() as executor:
-        found = measured(options.runs, lambda function, tasks: executor.map(function, tasks, chunksize=4))
+        found = measure(options.runs, lambda function, tasks: executor.map(function, tasks, chunksize=4))
     if options.json:
         print(json.dumps(found))
         return

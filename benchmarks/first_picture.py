@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        folder = asked.folder or filled(Path(place))
+        folder = asked.folder or create_filled_test(Path(place))
         server = subprocess.Popen(
             [sys.executable, "-c", SERVER, str(folder)],
             stdin=subprocess.PIPE,
@@ -82,7 +82,7 @@ def main() -> None:
         )
         try:
             assert server.stdout is not None
-            times_by_name = visits(server.stdout.readline().strip(), asked.times)
+            times_by_name = visit_times(server.stdout.readline().strip(), asked.times)
         finally:
             assert server.stdin is not None
             server.stdin.close()
@@ -95,7 +95,7 @@ def main() -> None:
         print(f"{name:22}{statistics.median(times_ms):10.1f}{min(times_ms):10.1f}{max(times_ms):10.1f}")
 
 
-def filled(folder: Path) -> Path:
+def create_filled_test(folder: Path) -> Path:
     """Create an ended test with invented data."""
     test = FilledFolder(folder, Settings())
     for index in range(SETS):
@@ -104,7 +104,7 @@ def filled(folder: Path) -> Path:
     return folder
 
 
-def visits(url: str, times: int) -> dict[str, list[float]]:
+def visit_times(url: str, times: int) -> dict[str, list[float]]:
     """Return the milliseconds of each visit."""
     times_by_name: dict[str, list[float]] = {"document alone": []}
     with httpx.Client(base_url=url) as api:
@@ -119,13 +119,13 @@ def visits(url: str, times: int) -> dict[str, list[float]]:
             page = context.new_page()
             for when, go in (("", lambda page=page: page.goto(url)), (", again", page.reload)):
                 go()
-                for name, at_ms in seen(page).items():
+                for name, at_ms in wait_until_drawn(page).items():
                     times_by_name.setdefault(f"{WHAT[name]}{when}", []).append(at_ms)
             context.close()
     return times_by_name
 
 
-def seen(page: Any) -> dict[str, float]:
+def wait_until_drawn(page: Any) -> dict[str, float]:
     """Wait until everything is drawn."""
     found: dict[str, float] = page.evaluate("window.allSeen")
     return {name: found[name] for name in WHAT}

@@ -25,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from analysis.waves.features import ShotFeatures, extract_from_volts
-from analysis.waves.template import Template, compared_with_others, learnt
+from analysis.waves.template import Template, compare_with_others, learn_template
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -243,7 +243,7 @@ def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:
     return wave, silent, tof_s
 
 
-def rates(
+def flag_rates(
     case: Callable[[Scene], FloatArray],
     shape: str,
     snr_db: float,
@@ -277,17 +277,17 @@ def rates(
     shots = []
     for _ in range(0, n, OF_A_SET):
         own = wall()
-        others = [_extracted(scene(own).clean()) for _ in range(OTHERS[walls])]
-        template = Template(isw_fwhm_s=_extracted(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
+        others = [_extract_features(scene(own).clean()) for _ in range(OTHERS[walls])]
+        template = Template(isw_fwhm_s=_extract_features(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
         for _ in range(OF_A_SET):
-            seen = [*others, _extracted(case(scene(own)))]
-            shots.append(compared_with_others(seen, learnt(seen) if others else template)[-1])
+            seen = [*others, _extract_features(case(scene(own)))]
+            shots.append(compare_with_others(seen, learn_template(seen) if others else template)[-1])
     return float(np.mean([bool(shot.flags) for shot in shots])), float(
         np.mean([not shot.valid for shot in shots])
     )
 
 
-def _extracted(volts: FloatArray) -> ShotFeatures:
+def _extract_features(volts: FloatArray) -> ShotFeatures:
     return extract_from_volts(volts, RATE_HZ, PRETRIGGER)
 
 
@@ -308,7 +308,7 @@ def main() -> None:
     )
     for case in CASES:
         found = [
-            rates(
+            flag_rates(
                 case,
                 arguments.shape,
                 db,

@@ -60,7 +60,7 @@ def fleet(kind: str, n: int, sensors: int, sick: int, gain_sd: float, random: An
     return tables
 
 
-def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
+def assess_random_fleet(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
     """Assess one fleet, and count."""
     kind, n, sensors, share, gain_sd, seed = task
     sick = round(share * sensors)
@@ -81,24 +81,24 @@ def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
     raised = {int(one["file"]) for one in report["raised"]}
     by_budget = {k for k, rows in enumerate(alone) if rows}
     return {
-        "false": _false(raised, sick),
+        "false": _count_false(raised, sick),
         "found": len([k for k in raised if k < sick]) / sick if sick else float("nan"),
-        "false by each budget": _false(by_budget, sick),
+        "false by each budget": _count_false(by_budget, sick),
         "shared named": float(bool(report["shared"])),
         "promised": float(report["fdr_guaranteed"]),
     }
 
 
-def _false(raised: set[int], sick: int) -> float:
+def _count_false(raised: set[int], sick: int) -> float:
     return len([k for k in raised if k >= sick]) / max(1, len(raised))
 
 
-def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str, Any]:
+def measure(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str, Any]:
     """Return everything that `main` prints."""
     found = {}
     for kind, n, share in product(KINDS, BASELINES, SICK):
         tasks = [(kind, n, sensors, share, gain_sd, seed) for seed in range(fleets)]
-        outcomes = list(mapped(outcome, tasks))
+        outcomes = list(mapped(assess_random_fleet, tasks))
         found[f"{kind}, n = {n}, {share:.0%} sick"] = {
             key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]
         }
@@ -109,7 +109,7 @@ def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str
     return found
 
 
-def speed() -> dict[str, float]:
+def measure_speed() -> dict[str, float]:
     """Time 1,000 tables by clock and processor: a busy machine increases the first only."""
     with tempfile.TemporaryDirectory() as folder:
         random = np.random.default_rng(1)
@@ -145,14 +145,14 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.speed:
-        took = speed()
+        took = measure_speed()
         ratio = took["one after another"] / took["solimon assess"]
         print(json.dumps(took) if options.json else "\n".join(f"{k:36}{v:7.1f} s" for k, v in took.items()))
         if not options.json:
             print(f"{'ratio':36}{ratio:7.2f}")
         return
     with ProcessPoolExecutor() as executor:
-        found = measured(options.fleets, options.sensors, options.gain_sd, executor.map)
+        found = measure(options.fleets, options.sensors, options.gain_sd, executor.map)
     if options.json:
         print(json.dumps(found))
         return

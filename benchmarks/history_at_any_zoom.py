@@ -116,7 +116,7 @@ def fill(folder: Path, n_sets: int) -> None:
         print(file=sys.stderr)
 
 
-def go_on_writing(folder: Path, first: int, stop: Event) -> None:
+def write_sets(folder: Path, first: int, stop: Event) -> None:
     """Store a set every `PERIOD_S` until stopped."""
     rng = np.random.default_rng(first)
     with open_catalogue(folder, writer=True, settings=one_position()) as catalogue:
@@ -137,7 +137,7 @@ def ranges(n_sets: int, count: int) -> list[tuple[int, int]]:
     return found
 
 
-async def asked(folder: Path, asked_for: list[tuple[int, int]]) -> list[tuple[float, int]]:
+async def measure_answers(folder: Path, asked_for: list[tuple[int, int]]) -> list[tuple[float, int]]:
     """Return seconds and bytes of each answer, after a check for the planted outliers."""
     taken, app = [], create_app(one_position(), folder)
     async with (
@@ -168,7 +168,7 @@ def require_outliers(trend: dict[str, Any], first: int, last: int) -> None:
         raise SystemExit(f"sets {first} to {last} have {planted} outliers, the answer tells {n_outliers}")
 
 
-def grouped(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
+def measure_statements(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
     """Return seconds of each range by one statement."""
     taken = []
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
@@ -180,18 +180,18 @@ def grouped(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
     return taken
 
 
-def measured(folder: Path, n_sets: int, n_answers: int) -> dict[str, float]:
+def measure(folder: Path, n_sets: int, n_answers: int) -> dict[str, float]:
     """Measure answers while another process writes."""
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         (n_stored,) = connection.execute("SELECT max(set_index) + 1 FROM sets").fetchone()
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type='table'")]
         n_rows = sum(connection.execute(f'SELECT count(*) FROM "{name}"').fetchone()[0] for name in tables)
     asked_for, stop = ranges(n_sets, n_answers), multiprocessing.get_context("spawn").Event()
-    writer = multiprocessing.get_context("spawn").Process(target=go_on_writing, args=(folder, n_stored, stop))
+    writer = multiprocessing.get_context("spawn").Process(target=write_sets, args=(folder, n_stored, stop))
     writer.start()
     try:
-        answers = asyncio.run(asked(folder, asked_for))
-        plain = grouped(folder, asked_for)
+        answers = asyncio.run(measure_answers(folder, asked_for))
+        plain = measure_statements(folder, asked_for)
     finally:
         stop.set()
         writer.join()
@@ -221,7 +221,7 @@ def main() -> None:
         if not (folder / FILE_NAME).exists():
             folder.mkdir(parents=True, exist_ok=True)
             fill(folder, chosen.sets)
-        found = measured(folder, chosen.sets, chosen.answers)
+        found = measure(folder, chosen.sets, chosen.answers)
     if chosen.json:
         print(json.dumps(found))
         return

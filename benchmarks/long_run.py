@@ -36,7 +36,7 @@ POOL = 97
 """So many different records are made, and given in turn."""
 
 
-class Instruments:
+class PooledInstruments:
     """Striker, digitizer and pulse-echo unit in one."""
 
     def __init__(self, settings: Settings) -> None:
@@ -98,7 +98,7 @@ class Instruments:
         """Do nothing: nothing is on."""
 
 
-def sampled() -> tuple[float, int]:
+def sample_process() -> tuple[float, int]:
     """Return resident memory in MB and open handles of this process; on Linux and Windows only."""
     memory, handles = resident_bytes(), open_handles()
     if memory is None or handles is None:
@@ -112,7 +112,7 @@ def slope_per_1000(sets: list[int], values: list[float]) -> float:
     return float(np.polyfit(sets[first:], values[first:], 1)[0] * 1000.0)
 
 
-def measured(hours: float, folder: Path) -> dict[str, Any]:
+def measure(hours: float, folder: Path) -> dict[str, Any]:
     """Record to the end and sample on the way."""
     phases = [{"until_h": 75.0, "interval_h": 0.5}, {"until_h": hours, "interval_h": 1.0}]
     settings = Settings(schedule={"phases": phases})
@@ -120,7 +120,7 @@ def measured(hours: float, folder: Path) -> dict[str, Any]:
 
     @contextmanager
     def opened(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-        instruments = Instruments(settings)
+        instruments = PooledInstruments(settings)
         yield Rig(
             kind="simulated",
             clock=clock,
@@ -131,7 +131,7 @@ def measured(hours: float, folder: Path) -> dict[str, Any]:
 
     def tell(event: str, **values: Any) -> None:
         if event == "progress" and values["done"] % EVERY_SETS == 0:
-            samples.append((values["done"], *sampled()))
+            samples.append((values["done"], *sample_process()))
             print(f"\r{values['done']} of {values['planned']} sets", end="", file=sys.stderr)
 
     prepare_data_folder(folder)
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        facts = measured(options.hours, options.folder or Path(place) / "data")
+        facts = measure(options.hours, options.folder or Path(place) / "data")
     if options.json:
         print(json.dumps(facts))
         return

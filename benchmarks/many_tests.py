@@ -96,7 +96,7 @@ def service(own: Path, folders: list[Path]) -> Iterator[Service]:
         process.stdin.close()
 
 
-def made(base: Path, tests: int, sets: int) -> list[Path]:
+def create_folders(base: Path, tests: int, sets: int) -> list[Path]:
     """Create the folders."""
     first = base / "test 1"
     first.mkdir()
@@ -108,10 +108,10 @@ def made(base: Path, tests: int, sets: int) -> list[Path]:
     return [first, *(shutil.copytree(first, base / f"test {n}") for n in range(2, tests + 1))]
 
 
-def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
+def measure(base: Path, tests: int, sets: int) -> dict[str, Any]:
     """Return everything that `main` prints."""
     steps: dict[str, dict[str, int]] = {}
-    with service(base, made(base, tests, sets)) as served, ExitStack() as stack:
+    with service(base, create_folders(base, tests, sets)) as served, ExitStack() as stack:
         limits = httpx.Limits(max_connections=tests + 1)  # each stream takes one
         # Nothing is encrypted: reading all certificates would take longer than the answers.
         client = httpx.Client(base_url=served.url, timeout=60.0, verify=False, limits=limits)
@@ -156,7 +156,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one object instead of lines")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        found = measured(Path(name), options.tests, options.sets)
+        found = measure(Path(name), options.tests, options.sets)
     if options.json:
         print(json.dumps(found))
         return

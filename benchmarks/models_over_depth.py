@@ -96,7 +96,9 @@ def rows_of(name: str) -> Iterator[Row]:
     for patch, size_m in PATCHES_M.items() if model.has_patch else [("whole plate", None)]:
         for sensor in SENSORS:
             chain = ChainParameters(sensor=sensor)
-            values, refined = (numbers(chain, plate, size_m, step) for plate, step in variants(model))
+            values, refined = (
+                tof_and_ratio_function(chain, plate, size_m, step) for plate, step in variants(model)
+            )
             for depth in DEPTHS:
                 if depth and name == "rigid_wall":
                     break
@@ -119,7 +121,7 @@ def variants(model: Model) -> list[tuple[PlateParameters, float]]:
     return [(model.plate, STEP_S), (model.finer or model.plate, STEP_S / 4.0)]
 
 
-def numbers(
+def tof_and_ratio_function(
     chain: ChainParameters, plate: PlateParameters, size_m: float | None, step_s: float
 ) -> Callable[[float], tuple[float, float]]:
     """Return a function of the depth that returns time of flight in us and amplitude ratio."""

@@ -41,7 +41,7 @@ MESHES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cold:
+class ColdShot:
     """Cold shot."""
 
     unknowns: int
@@ -52,7 +52,7 @@ class Cold:
     amplitude_ratio: float
 
 
-def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
+def cold_shot(mesh: SolidMesh, depth: float) -> ColdShot:
     """Build, reduce and strike the paper's plate."""
     plate, patch = PlateParameters(model="solid", solid=mesh), CorrosionParameters(depth_fraction=depth)
     started = time.perf_counter(), time.process_time()
@@ -61,7 +61,7 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
     summary = summarise(shot)
     assert summary.tof_us is not None, "the wave comes back"
     assert summary.amplitude_ratio is not None, "the wave comes back"
-    return Cold(
+    return ColdShot(
         unknowns=len(build_solid_plate(plate, patch).load),
         processor_s=processor_s,
         wall_s=wall_s,

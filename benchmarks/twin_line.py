@@ -52,7 +52,7 @@ def settings_of(level: str, hours: float) -> Settings:
     return load_settings(None, overrides={"twin": {"nuisance": level}, "schedule": {"end_h": hours}})
 
 
-def line(hours: float) -> tuple[float, int]:
+def run_line(hours: float) -> tuple[float, int]:
     """Return seconds and strikes of the complete test."""
     warm = settings_of("laboratory", 1.0)
     specimen = specimen_of(warm)
@@ -102,7 +102,7 @@ def main() -> int:
     parser.add_argument("--demo", action="store_true", help="also the demonstration's line")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
-    line_s, strikes = line(options.hours)
+    line_s, strikes = run_line(options.hours)
     report: dict[str, Any] = {"line_s": line_s, "strikes": strikes, "ratios": ratios()}
     if options.demo:
         from demo_speed import RECORDER, run_in_a_process

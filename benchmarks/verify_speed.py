@@ -47,7 +47,7 @@ def read_with_h5py(paths: list[Path]) -> None:
             file.visititems(read)
 
 
-def measured(folder: Path, rounds: int) -> dict[str, float]:
+def measure(folder: Path, rounds: int) -> dict[str, float]:
     """Return the minimum CPU seconds of each way."""
     paths = sorted((folder / "sets").glob("*.h5"))
     known = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
@@ -76,7 +76,7 @@ def main() -> None:
             folder = Path(place) / "data"
             words = ["demo", "--exit", "--no-web", "--hours", str(arguments.hours), "--data-dir", str(folder)]
             subprocess.run([sys.executable, "-m", "daq_service.cli", *words], check=True, capture_output=True)
-        seconds = measured(folder, arguments.rounds)
+        seconds = measure(folder, arguments.rounds)
         megabytes = sum(path.stat().st_size for path in (folder / "sets").glob("*.h5")) / 1e6
     rates = {name: megabytes / s for name, s in seconds.items()}
     ratios = {name: seconds["verify"] / seconds[name] for name in ("h5py_reads_all", "sha256_of_all")}

@@ -34,7 +34,7 @@ CALIBRATION = Calibration(coefficients_v=np.array([0.0, 10.0 / 32768]), resoluti
 PLANTED = -30_000
 
 
-def a_set(index: int, *, n_shots: int, n_samples: int, planted: bool) -> SetRecord:
+def pulses_of_set(index: int, *, n_shots: int, n_samples: int, planted: bool) -> SetRecord:
     """Return pulses with noise, shot by shot."""
     rng = np.random.default_rng(index)
     time_s = np.arange(n_samples) / 10e6
@@ -125,7 +125,7 @@ def main() -> None:
         (folder / "sets").mkdir()
         archive, files, kept_s = FolderArchive(folder), {}, 0.0
         for index in range(given.sets):
-            record = a_set(
+            record = pulses_of_set(
                 index, n_shots=given.shots, n_samples=given.samples, planted=index == given.sets // 2
             )
             files[index] = archive.store_set(record).file

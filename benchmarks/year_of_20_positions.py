@@ -495,7 +495,7 @@ def plain_s(folder: Path, statements: tuple[str, ...]) -> float:
         return time.perf_counter() - began
 
 
-def measured(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
+def measure(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
     """Return everything that is printed."""
     settings = year_settings()
     if not (folder / "catalogue.sqlite").exists():
@@ -540,7 +540,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         folder = options.folder or Path(place)
         folder.mkdir(parents=True, exist_ok=True)
-        facts = measured(folder, options.sets, options.rounds)
+        facts = measure(folder, options.sets, options.rounds)
     if options.json:
         print(json.dumps(facts))
         return

@@ -45,7 +45,7 @@ CATEGORIES = ["devtools.timeline", "v8", "blink.user_timing"]
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
+def serve_folder(folder: Path) -> Iterator[str]:
     """Serve a folder in a process of its own; yield its address."""
     config = folder / "test.json"
     config.write_text(one_position().model_dump_json(), encoding="utf-8")
@@ -103,7 +103,7 @@ def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]
     return taken
 
 
-def stepped(page: Any, number: int, do: Callable[[], None]) -> None:
+def perform_step(page: Any, number: int, do: Callable[[], None]) -> None:
     """Perform one step, and wait until its data is drawn; a step that changes nothing does not count."""
     before = page.evaluate(SPAN)
     page.evaluate(f"performance.mark('step {number} begins')")
@@ -114,7 +114,7 @@ def stepped(page: Any, number: int, do: Callable[[], None]) -> None:
         raise SystemExit(f"step {number} did not move the chart from {before}")
 
 
-def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
+def measure(url: str, browser: str, steps: int) -> dict[str, Any]:
     """Zoom in and out, then pan to and fro."""
     from playwright.sync_api import sync_playwright
 
@@ -135,14 +135,16 @@ def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
         page.mouse.wheel(0, -200)
         running.start_tracing(page=page, categories=CATEGORIES)
         for number in range(steps):
-            stepped(page, number, lambda number=number: page.mouse.wheel(0, -100 if number % 12 < 6 else 100))
+            perform_step(
+                page, number, lambda number=number: page.mouse.wheel(0, -100 if number % 12 < 6 else 100)
+            )
         zoomed = json.loads(running.stop_tracing())
         page.mouse.wheel(0, -200)
         page.locator(f"#{CHART} .plot").focus()
         running.start_tracing(page=page, categories=CATEGORIES)
         for number in range(steps):
             key = "ArrowLeft" if number % 4 < 2 else "ArrowRight"
-            stepped(page, number, lambda key=key: page.keyboard.press(f"Shift+{key}"))
+            perform_step(page, number, lambda key=key: page.keyboard.press(f"Shift+{key}"))
         panned = json.loads(running.stop_tracing())
         running.close()
     return {
@@ -168,8 +170,8 @@ def main() -> None:
         raise SystemExit("no Chromium is installed; install one, or name it with --browser")
     with tempfile.TemporaryDirectory() as name:
         fill(Path(name), chosen.sets)
-        with served(Path(name)) as url:
-            found = measured(url, chosen.browser, chosen.steps)
+        with serve_folder(Path(name)) as url:
+            found = measure(url, chosen.browser, chosen.steps)
     if chosen.json:
         print(json.dumps(found))
         return

@@ -216,7 +216,7 @@ class SelfCalibrating(Protocol):
         ...
 
 
-class Asking:
+class PersonRequests:
     """Requests of an instrument to a person, and their listeners."""
 
     def __init__(self) -> None:
@@ -267,7 +267,7 @@ class Rig:
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
     self_calibration_interval_h: float = 0.0
-    asking: Asking = field(default_factory=Asking)
+    asking: PersonRequests = field(default_factory=PersonRequests)
     dry_run: bool = False
     identity: Mapping[str, str] = field(default_factory=dict)
 

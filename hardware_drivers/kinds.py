@@ -173,7 +173,7 @@ class Finding:
     values: Mapping[str, float | str | bool | None] = field(default_factory=dict)
 
 
-def failed(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
+def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
     """Return the finding of an error; a message of this project ends in its remedy.
 
     Parameters
@@ -196,7 +196,7 @@ def _no_packages(parameters: Any) -> Iterable[str]:
     return ()
 
 
-def _no_longer(parameters: Any) -> float:
+def _no_extra_time(parameters: Any) -> float:
     return 0.0
 
 
@@ -235,6 +235,6 @@ class Kind(Generic[P]):
     open: Callable[[P, Opening], AbstractContextManager[Opened]]
     check: Callable[[P, Opening], Iterable[Finding]]
     packages: Callable[[P], Iterable[str]] = _no_packages
-    longest_call_s: Callable[[P], float] = _no_longer
+    longest_call_s: Callable[[P], float] = _no_extra_time
     reached_by: frozenset[str] = frozenset()
     require: Callable[[P, Mapping[Role, tuple[str, ...]]], None] = _serves_anything

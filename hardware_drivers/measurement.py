@@ -173,7 +173,7 @@ class Stamp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Taken:
+class _Record:
     """Record with its position in the sequence and its metadata.
 
     Attributes
@@ -200,14 +200,14 @@ class _Taken:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shot(_Taken):
+class Shot(_Record):
     """Strike of one transducer and its record."""
 
     method: ClassVar[Method] = SOLITARY_WAVE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseEchoRecord(_Taken):
+class PulseEchoRecord(_Record):
     """Averaged ultrasonic record of one position.
 
     Attributes

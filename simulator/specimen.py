@@ -71,7 +71,7 @@ class Transducer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Blow:
+class _DrawnStrike:
     """Strike as drawn, for the chain."""
 
     key: ShotKey
@@ -208,13 +208,13 @@ class Specimen:
         forces = self._forces([blow for blow in blows if blow is not None])
         return [None if blow is None else self._acquired(blow, *next(forces)) for blow in blows]
 
-    def _blow(self, key: ShotKey, hour_h: float) -> _Blow | None:
+    def _blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
         """Draw a strike; None for one that misses the chain."""
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
         found = self.nuisance(key, hour_h, faults)
-        return _Blow(
+        return _DrawnStrike(
             key=key,
             hour_h=hour_h,
             wall=self.walls[key.position].at(hour_h),
@@ -223,7 +223,7 @@ class Specimen:
             strike=self._strike(key, hour_h, faults, found),
         )
 
-    def _forces(self, blows: Sequence[_Blow]) -> Iterator[tuple[ShotForce, ShotForce]]:
+    def _forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
         """Return the force of each strike's first impact, and of all its impacts."""
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
@@ -242,7 +242,7 @@ class Specimen:
             forces.update(zip(numbers, found, strict=True))
         return (forces[number] for number in range(len(blows)))
 
-    def _force_alone(self, model: SolitaryWaveModel, blow: _Blow) -> tuple[ShotForce, ShotForce]:
+    def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
         if blow.faults.double_delay_s is not None:
             raise SpecimenError(
                 f"double is a second impact on the chain of a ShotModel; this one is a "
@@ -256,7 +256,7 @@ class Specimen:
         force = self.force(blow.wall, blow.strike, blow.key.position, blow.faults)
         return force, force
 
-    def _acquired(self, blow: _Blow, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
+    def _acquired(self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
         """Return the record of the force as the digitizer samples it."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = interference_of_shot(
@@ -350,7 +350,7 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
     return transducer.model.with_chain(faulty_chain(transducer.chain, faults))
 
 
-def _forces_together(model: ShotModel, blows: Sequence[_Blow]) -> list[tuple[ShotForce, ShotForce]]:
+def _forces_together(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
     """Integrate blows on one chain side by side; results as of `Specimen._forces`."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))

@@ -121,7 +121,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
     return memory.n >= FEWEST_AVERAGED and bool(away @ away < moved @ moved)
 
 
-def remembering(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
+def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
     """Store a confirmed wall diagnosis, or the state of the contacts, for the next sets."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
@@ -138,7 +138,7 @@ def _posterior(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
     """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
-    seen, noise, course = _seen(memory, design, from_moved=from_moved)
+    seen, noise, course = _observations(memory, design, from_moved=from_moved)
     whole = np.linalg.inv(np.linalg.cholesky(noise))
     seen, course = whole @ seen @ design.whitening, course @ whole.T
     length = np.sqrt((course**2).sum(axis=1))
@@ -192,7 +192,7 @@ def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> Fl
     return np.asarray(course @ weights(n, confirmation_ago).T)
 
 
-def _seen(
+def _observations(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.

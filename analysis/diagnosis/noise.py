@@ -61,7 +61,7 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
     return np.asarray(found)
 
 
-def ends_of(changes: FloatArray) -> FloatArray:
+def end_averages(changes: FloatArray) -> FloatArray:
     """Return the (2, 7) averages of a baseline's deviations, shape (n, 7), from its mean at its end."""
     return np.asarray(_end_weights(len(changes)) @ changes)
 
@@ -72,7 +72,7 @@ def _end_weights(n: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _of_reference(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean of ``sets`` sets and the averages at their end as weights, covariance and reach.
 
     Returns
@@ -102,7 +102,7 @@ def covariances(n: int, since: int, confirmation_ago: int | None, reference: int
     reference
         Sets whose mean the differences are from.
     """
-    sums, before, reach = _of_reference(reference)
+    sums, before, reach = _reference_observations(reference)
     after = weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, hypotheses
-from analysis.diagnosis.noise import ends_of, variances_of
+from analysis.diagnosis.noise import end_averages, variances_of
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.statistics.baseline import whitening_matrix
@@ -113,7 +113,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
         n=n,
         last_index=first_index + int(indices[-1]),
         variances_in_time=variances_of((complete - mean) @ whitening, indices),
-        ends=ends_of(complete - mean),
+        ends=end_averages(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),

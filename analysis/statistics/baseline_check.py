@@ -17,7 +17,7 @@ import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import autocorrelation, corrected, significant
+from analysis.statistics.memory import autocorrelation, corrected_autocorrelation, significant_phi
 from analysis.waves.record_reduction import FloatArray
 
 CORE = 0.7
@@ -40,7 +40,7 @@ Kind = Literal["outlier", "group", "trend"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Named:
+class Anomaly:
     """Anomaly of a baseline that a person should check before approval.
 
     Attributes
@@ -56,33 +56,33 @@ class Named:
     rows: tuple[int, ...]
 
 
-def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
+def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
     """Find anomalies in the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
     x = np.asarray(vectors, dtype=np.float64)
-    found: list[Named] = []
-    near, core = grown_cores(x)
+    found: list[Anomaly] = []
+    near, core = grow_cores(x)
     outside = np.flatnonzero(~core)
     if not near.all():
         whitened = _whitened(x, core)
-        alike = _alike(whitened, np.flatnonzero(~near), MANY_ALIKE)
+        alike = _find_group(whitened, np.flatnonzero(~near), MANY_ALIKE)
         if not alike.size:
-            alike = _alike(whitened, outside, FEW_ALIKE)
+            alike = _find_group(whitened, outside, FEW_ALIKE)
         if alike.size:
-            found.append(Named(kind="group", rows=tuple(alike.tolist())))
-        found += [Named(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in alike]
+            found.append(Anomaly(kind="group", rows=tuple(alike.tolist())))
+        found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in alike]
     if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
-        found.append(Named(kind="trend", rows=tuple(range(len(x)))))
+        found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
 
 
-def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Find the sets as near to the rest as most healthy ones, and those that fit it; shape (n,) each.
 
     The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
     sets or many features it is known too badly.
     """
     n, p = x.shape
-    core, kept = _least_determinant(x), CORE
+    core, kept = _minimum_covariance_determinant(x), CORE
     for _ in range(GROWTHS):
         near = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, CUT_RATE)
         if near.sum() <= max(n // 2, p + 1) or (near == core).all():
@@ -104,7 +104,7 @@ def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
     return np.asarray((_whitened(x, core) ** 2).sum(axis=1) * inside / kept)
 
 
-def _least_determinant(x: FloatArray) -> np.ndarray:
+def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
     """Find the subset with the minimum covariance determinant.
 
     Random starts, concentrated (Rousseeuw 1999).
@@ -135,7 +135,7 @@ def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 
-def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
+def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
     """Find outlying sets with a common offset: nearer to their centre than that is to the core."""
     if outside.size < fewest:
         return outside[:0]
@@ -161,6 +161,6 @@ def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
         slope, rest = np.linalg.solve(root, slope), np.linalg.solve(root, rest.T).T
     except np.linalg.LinAlgError:  # a feature is a straight line, such as the hour
         return 0.0
-    phi = significant(float(corrected(autocorrelation(rest, 1).mean(), n)), n)
+    phi = significant_phi(float(corrected_autocorrelation(autocorrelation(rest, 1).mean(), n)), n)
     statistic = float(slope @ slope) * float(t @ t) * (1.0 - phi) / (1.0 + phi)
     return float(scipy.special.fdtrc(p, n - 1 - p, statistic * (n - 1 - p) / (p * (n - 2))))

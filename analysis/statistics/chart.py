@@ -107,7 +107,7 @@ class Chart:
         return statistic, onsets
 
 
-def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
+def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
     """Design the chart of a baseline.
 
     Parameters
@@ -121,10 +121,10 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
     found = directions_of(x)
     phi = np.maximum(widened_phi(found), least_phi)
-    return with_memory(x, found.matrix, phi, estimated_limit(n, p, run_length))
+    return chart_with_phi(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
-def with_memory(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
+def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
     """Make a chart of a baseline, shape (n, p), with known autocorrelation and limit (see `Chart`)."""
     complete = np.isfinite(baseline).all(axis=1)
     n, p = int(complete.sum()), baseline.shape[1]
@@ -154,13 +154,13 @@ def widened_phi(found: Directions) -> FloatArray:
     return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))
 
 
-def unshown_memory(baseline: ArrayLike) -> str:
+def unverified_rate_reason(baseline: ArrayLike) -> str:
     """Return the reason why the chart's rate is not verified; empty where it is.
 
     Parameters
     ----------
     baseline
-        Shape (n, p), as `designed` had it.
+        Shape (n, p), as `design_chart` had it.
     """
     x = np.asarray(baseline, dtype=np.float64)
     complete = np.isfinite(x).all(axis=1)
@@ -169,19 +169,19 @@ def unshown_memory(baseline: ArrayLike) -> str:
         return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
     if trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
         return "the baseline has a trend: find its cause, or record another"
-    if wander_probability(_by_last_set(x)[complete]) < SLOW_RATE:
+    if slow_drift_probability(_prewhitened_by_last_set(x)[complete]) < SLOW_RATE:
         return "the baseline wanders more slowly than its memory from set to set explains: find the cause"
     return ""
 
 
-def _by_last_set(baseline: FloatArray) -> FloatArray:
+def _prewhitened_by_last_set(baseline: FloatArray) -> FloatArray:
     """Whiten a baseline after removal of its lag-1 autocorrelation."""
     found = directions_of(baseline)
-    chart = with_memory(baseline, found.matrix, found.phi, math.inf)
+    chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whitened(baseline)
 
 
-def wander_probability(whitened: FloatArray) -> float:
+def slow_drift_probability(whitened: FloatArray) -> float:
     """Return the chance that `BLOCKS` block means of independent sets scatter so much (chi-square)."""
     n, p = whitened.shape
     length = n // BLOCKS

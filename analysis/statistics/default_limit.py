@@ -14,7 +14,7 @@ from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import HEAVY, tail_limit
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import innovation, pooled_phi, prewhitened, significant
+from analysis.statistics.memory import innovation, pooled_phi, prewhitened, significant_phi
 from analysis.statistics.rules import NOMINAL_RATE
 from analysis.waves.record_reduction import FloatArray
 
@@ -73,7 +73,7 @@ def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL
         Fitted to its complete rows.
     """
     n, p = baseline.n, baseline.p
-    phi = significant(pooled_phi(history), n)
+    phi = significant_phi(pooled_phi(history), n)
     residuals = baseline
     if phi:
         new = prewhitened(history, baseline.mean, phi)

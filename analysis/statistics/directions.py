@@ -64,7 +64,11 @@ def directions_of(vectors: ArrayLike) -> Directions:
     lags = max(1, min(MOST_LAGS, n // SETS_PER_LAG))
     found = _autocorrelations(np.where(complete[:, None], z @ whitening, 0.0), complete, lags)
     r, turn = np.linalg.eigh(found[0])
-    r, turn = (n * r[::-1] + 1.0) / (n - 4.0), turn[:, ::-1]  # as `memory.corrected`, before it is clipped
+    # As `memory.corrected_autocorrelation`, before it is clipped.
+    r, turn = (
+        (n * r[::-1] + 1.0) / (n - 4.0),
+        turn[:, ::-1],
+    )
     middle = float(r.mean())
     variance = (1.0 - np.clip(middle, 0.0, LARGEST_PHI) ** 2) / n
     # Of the eigenvalues of a symmetric matrix with this variance on, and half of it beside, its diagonal.

@@ -36,7 +36,7 @@ RUN_LENGTHS = np.geomspace(10.0, 1e9, 17)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class SharedChange:
     """Sets in which the sensors moved together.
 
     Attributes
@@ -57,7 +57,7 @@ def _limits(n: int, p: int) -> FloatArray:
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
-def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
+def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
     """Return the chance, after each set, that a healthy sensor's chart rises so high.
 
     It never rises in a period.
@@ -84,7 +84,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
     Parameters
     ----------
     chances
-        Of `chance_so_far`, shape (sensors, sets).
+        Of `running_chance`, shape (sensors, sets).
     """
     p = np.asarray(chances, dtype=np.float64)
     if not 0.0 < rate < 1.0:
@@ -132,7 +132,7 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
     return result
 
 
-def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
+def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
     One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
@@ -151,7 +151,7 @@ def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
 
 
-def usual_tails(baselines: Sequence[FloatArray]) -> float:
+def typical_tails(baselines: Sequence[FloatArray]) -> float:
     """Return the mean over the sensors of the kurtosis of their baselines, at least 1 (normal sets).
 
     Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
@@ -160,7 +160,7 @@ def usual_tails(baselines: Sequence[FloatArray]) -> float:
     Parameters
     ----------
     baselines
-        As of `usual_memory`.
+        As of `typical_autocorrelation`.
     """
     found = [_kurtosis(x[np.isfinite(x).all(axis=1)].astype(np.float64)) for x in baselines]
     known = [one for one in found if one is not None]
@@ -176,7 +176,9 @@ def _kurtosis(x: FloatArray) -> float | None:
     return float((distances**2).mean() / (p * (p + 2)))
 
 
-def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int) -> tuple[Shared, ...]:
+def find_shared_changes(
+    shared: FloatArray, n_sensors: int, phi: float, first_row: int
+) -> tuple[SharedChange, ...]:
     """Find the sets in which the shared average is too large for independent sensors.
 
     Parameters
@@ -197,12 +199,12 @@ def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int
     beyond = (np.abs(average) > limit).any(axis=1) & (np.arange(len(shared)) >= first_row)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
     return tuple(
-        Shared(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
+        SharedChange(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     )
 
 
-def alike(baselines: Sequence[FloatArray]) -> FloatArray:
+def mean_squared_correlation(baselines: Sequence[FloatArray]) -> FloatArray:
     """Return the mean squared correlation of the features, shape (p, p).
 
     That of their SD's errors, if normal.
@@ -210,22 +212,24 @@ def alike(baselines: Sequence[FloatArray]) -> FloatArray:
     Parameters
     ----------
     baselines
-        As of `usual_memory`.
+        As of `typical_autocorrelation`.
     """
     known = [x[np.isfinite(x).all(axis=1)].astype(np.float64) for x in baselines]
     found = [np.corrcoef(x, rowvar=False) ** 2 for x in known if len(x) >= MINIMUM_SETS]
     return np.mean(found, axis=0) if found else np.eye(baselines[0].shape[1])
 
 
-def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple[float, float, float]:
+def sensor_gain(
+    deviations: FloatArray, shared: FloatArray, correlation2: FloatArray
+) -> tuple[float, float, float]:
     """Return the gain of a sensor to the shared change: 1 where it moves as the median does.
 
     Parameters
     ----------
     deviations, shared
         Of one sensor and of the fleet, shape (sets, p), after the baselines.
-    alike
-        Of `alike`.
+    correlation2
+        Of `mean_squared_correlation`.
 
     Returns
     -------
@@ -242,10 +246,12 @@ def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple
     if weight == 0.0:
         return np.nan, np.nan, np.nan
     found = float((moved * x.filled(0.0)).sum() / weight)
-    return found, 1.0 / weight, float(of_feature @ alike @ of_feature) / weight**2
+    return found, 1.0 / weight, float(of_feature @ correlation2 @ of_feature) / weight**2
 
 
-def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n: int, tails: float) -> float:
+def residual_shift(
+    gains: ArrayLike, causes: Sequence[SharedChange], *, phi: float, n: int, tails: float
+) -> float:
     """Return the residual shift in SD without the shared change.
 
     Three scaled deviations from the median gain.
@@ -256,7 +262,7 @@ def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n:
     Parameters
     ----------
     gains
-        Of `gain`, shape (sensors, 3).
+        Of `sensor_gain`, shape (sensors, 3).
     phi, n, tails
         Memory from set to set, sets of a baseline, and kurtosis over that of normal sets, all as is usual.
     """

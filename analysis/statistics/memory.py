@@ -1,7 +1,7 @@
 """Autocorrelation of healthy sets from one set to the next, and its removal.
 
 Phi is the coefficient of a first-order autoregression. Estimated from n sets it is too small by about
-(1 + 4 phi)/n, more for a known trend of the mean; `corrected` takes that out.
+(1 + 4 phi)/n, more for a known trend of the mean; `corrected_autocorrelation` takes that out.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
     return np.asarray(np.divide(products, variance, out=np.zeros_like(products), where=variance > 0.0))
 
 
-def corrected(r: ArrayLike, n: int) -> FloatArray:
+def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
     """Return the autocorrelation without the bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
 
     Source: Marriott and Pope (1954), "Bias in the estimation of autocorrelations", Biometrika 41, 390-402.
@@ -52,10 +52,10 @@ def corrected(r: ArrayLike, n: int) -> FloatArray:
 def pooled_phi(vectors: ArrayLike) -> float:
     """Return the lag-1 autocorrelation that all features share: the mean of their corrected values."""
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
-    return float(corrected(autocorrelation(vectors, 1).mean(), n))
+    return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
 
-def significant(phi: float, n: int) -> float:
+def significant_phi(phi: float, n: int) -> float:
     """Return ``phi`` if independent sets would hardly show it, else 0."""
     return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
 

@@ -71,7 +71,7 @@ def next_alarm_state(
     return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
 
 
-def decides(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
+def determines_state(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
     """Check whether these sets alone determine the state, independent of earlier ones.
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from analysis.errors import AnalysisError, NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.baseline_check import CORE, Named, named_in
+from analysis.statistics.baseline_check import CORE, Anomaly, find_anomalies
 from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.mewma import mcusum, mewma
@@ -71,7 +71,7 @@ class Assessed:
     phi_pooled: float = 0.0
     tail: float = 0.0
     suspects: tuple[int, ...] = ()
-    named: tuple[Named, ...] = ()
+    named: tuple[Anomaly, ...] = ()
     left_out: tuple[tuple[int, str], ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     count: Mapping[str, int] = field(default_factory=dict)
@@ -107,14 +107,14 @@ def assess(
     textbooks
         Also run the MCUSUM, which nothing here decides by.
     least_phi
-        Memory along the directions that is known from sensors like this one (`chart.designed`); a number, or
-        one for each feature.
+        Memory along the directions that is known from sensors like this one (`chart.design_chart`); a number,
+        or one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)
     if healthy.sum() < MINIMUM_SETS:
         return Assessed(refused=_too_few(int(healthy.sum()), "rows"))
-    varies = _varies(_scaled(x, healthy)[healthy])
+    varies = _varying_columns(_scaled(x, healthy)[healthy])
     dropped = tuple(name for name, kept in zip(feature_names, varies, strict=True) if not kept)
     names = [name for name, kept in zip(feature_names, varies, strict=True) if kept]
     if not names:
@@ -141,7 +141,7 @@ def _too_few(n: int, what: str) -> str:
     return f"{n} {what} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
-def _varies(baseline: FloatArray) -> np.ndarray:
+def _varying_columns(baseline: FloatArray) -> np.ndarray:
     present = np.isfinite(baseline)
     n = np.maximum(present.sum(axis=0), 1)
     mean = np.where(present, baseline, 0.0).sum(axis=0) / n
@@ -171,7 +171,7 @@ def _assess(
             f"{healthy.sum()} have"
         )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
-    named = _named(measured[rows], x[rows], rows, names)
+    named = _find_anomalies(measured[rows], x[rows], rows, names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
@@ -182,7 +182,7 @@ def _assess(
     statistic, onsets = design.chart.run(entering)
     statistics = {
         **_statistics(x, followed, complete, assessed, design),
-        CHART: _placed(len(x), assessed, statistic),
+        CHART: _values_in_rows(len(x), assessed, statistic),
     }
     limits = {name: limit for name, limit in design.limits.items() if name != CHART}
     beyond = {
@@ -197,7 +197,7 @@ def _assess(
         tail=design.by_default.tail,
         suspects=baseline.suspects,
         named=named,
-        left_out=_left_out(complete, healthy, after),
+        left_out=_skipped_rows(complete, healthy, after),
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
@@ -207,15 +207,17 @@ def _assess(
         chart_limit=design.chart.limit,
         distances_squared=statistics[DISTANCE],
         mewma_textbook=statistics[AVERAGE],
-        mcusum_textbook=_placed(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
+        mcusum_textbook=_values_in_rows(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
         if textbooks
         else np.empty(0),
         chart=statistics[CHART],
-        unbroken=_placed(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
+        unbroken=_values_in_rows(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 
-def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]) -> tuple[Named, ...]:
+def _find_anomalies(
+    measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]
+) -> tuple[Anomaly, ...]:
     """Find anomalies of the baseline, or raise where the rest is negligible next to one value."""
     middle = np.quantile(measured, 0.5, axis=0, method="lower")
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -232,11 +234,11 @@ def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequenc
     if usual[at] > 0.0 and times[at] > FARTHEST:
         raise SingularCovarianceError(lone)
     try:
-        found = named_in(x)
+        found = find_anomalies(x)
     except np.linalg.LinAlgError as error:
         alike = "in most of the baseline a feature is a combination of the others: leave one out"
         raise SingularCovarianceError(alike if usual[at] > 0.0 else lone) from error
-    return tuple(Named(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
+    return tuple(Anomaly(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
 
 
 def _statistics(
@@ -251,7 +253,7 @@ def _statistics(
     return {
         DISTANCE: distances,
         PREWHITENED: by_default.distances_squared(followed) if by_default.phi else distances,
-        AVERAGE: _placed(len(x), assessed, mewma(_whitened(x[assessed], baseline))),
+        AVERAGE: _values_in_rows(len(x), assessed, mewma(_whitened(x[assessed], baseline))),
     }
 
 
@@ -259,13 +261,15 @@ def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
     return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 
-def _placed(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
+def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
     result = np.full(size, np.nan)
     result[rows] = values
     return result
 
 
-def _left_out(complete: np.ndarray, healthy: np.ndarray, after: np.ndarray) -> tuple[tuple[int, str], ...]:
+def _skipped_rows(
+    complete: np.ndarray, healthy: np.ndarray, after: np.ndarray
+) -> tuple[tuple[int, str], ...]:
     missing = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
     between = np.flatnonzero(complete & ~healthy & ~after)
     missing += [(int(row), "not of the baseline, and before its end: no chart") for row in between]

@@ -223,7 +223,7 @@ def reference_echo(
     )
 
 
-def standing_in(
+def substitute_reference(
     later: EchoReference, *, travel_time_s: float, reference_travel_time_s: float
 ) -> EchoReference:
     """Make a reference from the echo of a later record when the reference record is lost.

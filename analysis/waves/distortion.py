@@ -52,7 +52,7 @@ def is_one_wall(tofs_s: FloatArray) -> bool:
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
-def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots whose top is lower than their flanks imply, shape (n,): an amplifier near its end.
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
@@ -63,13 +63,13 @@ def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
     if len(table) < FEWEST:
         return found
     isw = table[:, :N_ISW]
-    middle = _middle(isw)
+    middle = _median_wave(isw)
     cap = np.clip(middle - CAP, 0.0, None)
-    found |= _lowered(isw, middle, cap, _own_of([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
+    found |= _lowered(isw, middle, cap, _variation_columns([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
     if is_one_wall(tofs_s):
         both = table[:, :N_PSW]
-        middle = _middle(both)
-        own = _own_of([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
+        middle = _median_wave(both)
+        own = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
         found |= _lowered(both, middle, middle**3, own, sd, LOWEST_BEND)
     return found
 
@@ -78,7 +78,7 @@ def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 
-def _middle(points: FloatArray) -> FloatArray:
+def _median_wave(points: FloatArray) -> FloatArray:
     """Return the median of the shots that hold all points; NaN without one."""
     held = points[np.isfinite(points).all(axis=1)]
     return column_medians(held) if len(held) else np.full(points.shape[1], np.nan)
@@ -92,7 +92,7 @@ def _slope(wave: FloatArray) -> FloatArray:
     return slope
 
 
-def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
+def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
     """Return columns of normal variation of a sound shot: arrival of each wave, width of all."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
@@ -126,7 +126,7 @@ def _lowered(
     return np.asarray(known & (lowered - usual > np.maximum(limit, least)))
 
 
-def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots that lost samples after the reflected wave's top, shape (n,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
@@ -138,7 +138,7 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
         return found
     table, sd = _table(outlines)
     points = table[:, N_ISW:]
-    middle = _middle(points)
+    middle = _median_wave(points)
     if not np.isfinite(middle).all():
         return found
     own = np.column_stack([middle, _slope(middle)])

@@ -204,7 +204,7 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
-def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
+def noise_free_flags(record: ReducedRecord, rate_hz: float) -> set[str]:
     """Find stretches without noise: the flags of lost samples, of a plateau, of a line.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
@@ -223,7 +223,7 @@ def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
         return set()
     steps = np.diff(samples)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
-    found = _held(record, steps, shortest)
+    found = _find_constant_stretches(record, steps, shortest)
     code_v = _smallest_step(steps)
     bends = np.abs(np.diff(steps))
     if found or median(bends) < FEWEST_CODES * code_v:
@@ -232,7 +232,7 @@ def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
     return {DISTURBED} if longest + 1 >= shortest else set()
 
 
-def _held(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
+def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
     """Find stretches of equal samples that are too long for the record's noise."""
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())

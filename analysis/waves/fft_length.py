@@ -11,7 +11,7 @@ Rows = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=Hashable)
 
 
-def together(
+def apply_by_kind(
     rows: Sequence[Rows], kinds: Sequence[Kind], transform: Callable[[Rows, Kind], Rows]
 ) -> list[Rows]:
     """Apply ``transform(rows, kind)`` to all rows of a kind at once: a call costs more than a row.

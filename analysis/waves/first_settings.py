@@ -41,7 +41,7 @@ Trouble = Literal["noise", "ringing", "no_wave", "inverted", "level", "range"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Struck:
+class StruckTransducer:
     """Recorded strike of one transducer.
 
     Attributes
@@ -92,7 +92,7 @@ class Proposal:
     troubles: Mapping[str, Trouble]
 
 
-def propose(struck: Mapping[str, Struck], *, pulse_s: float, fall_s: float) -> Proposal:
+def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
     """Propose settings from one strike of each transducer, at least one.
 
     Parameters
@@ -197,17 +197,17 @@ def shot_within(
     )
 
 
-def _means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
+def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
     """Return means over blocks in which an electrical spike hardly shows, and the samples of a block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     whole = volts.size // block
     return volts[: whole * block].reshape(whole, block).mean(axis=1), block
 
 
-def _crest(one: Struck, earliest_s: float) -> float:
+def _crest(one: StruckTransducer, earliest_s: float) -> float:
     """Return the largest deviation, with its sign, where a wave can be."""
     rate_hz = one.strike.sample_rate_hz
-    means, _ = _means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
+    means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
     return float(departures[np.abs(departures).argmax()])
 
@@ -223,11 +223,11 @@ def _level(
     return float(f"{offset_v + sign * above_v:.2g}") if above_v <= FITTING_LEVEL[1] * smallest_v else None
 
 
-def _rise_s(one: Struck, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
+def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
     """Return the time from the wave's first deviation until the level is reached."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
-    means, block = _means(volts, rate_hz)
+    means, block = _block_means(volts, rate_hz)
     passed = int((means >= above_v).argmax())
     quiet = np.flatnonzero(means[:passed] < noise_v)
     return (passed - int(quiet[-1]) if quiet.size else 0) * block / rate_hz
@@ -243,7 +243,7 @@ def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float |
     return round(ringing_s + HOLDOFF_PART * room_s, HOLDOFF_DIGITS), ringing_s, loudest
 
 
-def _range(one: Struck, listens_s: float) -> tuple[float, bool, bool]:
+def _range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
     """Return the smallest range with headroom, whether the record was clipped, and whether the range fits."""
     first = round(listens_s * one.strike.sample_rate_hz)
     part = replace(one.strike, counts=one.strike.counts[first:])

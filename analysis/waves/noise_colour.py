@@ -88,17 +88,17 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     for upper_hz in BANDS_HZ:
         inside = min(powers2.size, math.floor(2.0 * n * record.step_s * min(upper_hz, 1e12)))
         power2 = float(powers2[:inside].sum()) / max(1, inside)
-        if inside >= FEWEST_COEFFICIENTS and power2 > _by_chance(inside) * known2:
+        if inside >= FEWEST_COEFFICIENTS and power2 > _chance_mean_square(inside) * known2:
             known2 = power2
         bands.append(known2)
     level = basis[:, :N_LEVEL] @ found[:N_LEVEL]
     x = record.samples_v[: n * record.block_samples] - record.offset_v
     x -= np.repeat(level, record.block_samples)
     lags = max(1, min(round(LONGEST_MEMORY_S * record.block_samples / record.step_s), x.size // 4))
-    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _memory(x, lags)
-    if sample2 < _by_chance(x.size / memory) * white2:
+    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _summed_autocorrelation(x, lags)
+    if sample2 < _chance_mean_square(x.size / memory) * white2:
         sample2 = white2
-    return _coloured(record, sample2, bands, level, memory, _memory(np.diff(x), lags) - 1.0)
+    return _coloured(record, sample2, bands, level, memory, _summed_autocorrelation(np.diff(x), lags) - 1.0)
 
 
 def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
@@ -139,13 +139,13 @@ def _coloured(
         block2=block2,
         flank2=flank2,
         slow2=slow2,
-        level2=_of_median(record.quiet_blocks, level, block2, slow2),
+        level2=_median_variance(record.quiet_blocks, level, block2, slow2),
         memory=memory,
         rms_sd=MEDIAN_SD * math.sqrt((1.0 + MEDIAN_SQUARE * of_differences) / record.samples_v.size),
     )
 
 
-def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
+def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> float:
     """Return the variance of the median of n blocks on a level that rises to the wave's foot.
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
@@ -157,7 +157,7 @@ def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
     return 0.5 * math.pi * block2 / (near + 0.55) + max(0.0, slow2 - block2) / n
 
 
-def _by_chance(n: float) -> float:
+def _chance_mean_square(n: float) -> float:
     """Return the mean square of n unit normal values exceeded by chance in 1 % (Wilson and Hilferty)."""
     third = 2.0 / (9.0 * n)
     return (1.0 - third + CHANCE_SD * math.sqrt(third)) ** 3
@@ -177,7 +177,7 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     return np.asarray(basis)
 
 
-def _memory(x: FloatArray, lags: int) -> float:
+def _summed_autocorrelation(x: FloatArray, lags: int) -> float:
     """Return the sum of squared autocorrelations over all lags, without the chance part."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)

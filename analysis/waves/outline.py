@@ -67,14 +67,14 @@ class Outline:
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
     """Sample a record at its outline points, linearly between blocks."""
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
-    _read(record, isw, FROM_ISW, stride, points[:N_ISW])
-    _read(record, psw, FROM_PSW, stride, points[N_ISW:])
+    _sample_points(record, isw, FROM_ISW, stride, points[:N_ISW])
+    _sample_points(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
     noise_v = record.block_noise_v / math.sqrt(record.smooth_blocks)
     return Outline(points=points, sd=noise_v / isw.amplitude_v)
 
 
-def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
+def _sample_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
     """Fill in the points from ``first`` on that the record holds, if it holds that one."""
     at = record.index(pulse.matched_time_s)
     begin = math.floor(at) + first * stride
@@ -86,7 +86,7 @@ def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: 
     points[: after.size] = before + (at % 1.0) * (after - before)
 
 
-def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
     """Find shots that no others resemble, or that arrived earlier than all similar ones, shape (n,).
 
     Parameters
@@ -107,11 +107,11 @@ def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np
     usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
     limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
     apart = (nearest > limit) & (nearest < math.inf)
-    apart[PSW:] &= _has_company(tofs_s, others)
+    apart[PSW:] &= _is_confirmed_by_others(tofs_s, others)
     unlike = np.asarray(apart.any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
-        unlike[_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
+        unlike[_find_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
     return unlike
 
 
@@ -129,7 +129,7 @@ def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> Float
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Check whether other shots show the same wall; corrosion changes the part after the incident wave."""
     ordered = np.sort(tofs_s)
     if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:
@@ -139,7 +139,7 @@ def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.boo
     return np.asarray(np.searchsorted(ordered, upper) - np.searchsorted(ordered, lower) >= FEWEST)
 
 
-def _early(
+def _find_early(
     candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
     """Find shots whose reflected wave came earlier than those of similar shots."""

@@ -14,8 +14,8 @@ from analysis.waves.record_reduction import (
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
-    least_after_isw_s,
     median,
+    minimum_after_isw_s,
     moving_mean,
     odd,
 )
@@ -127,7 +127,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         return Pulses()
     floor = settings.no_psw_below_sigmas * record.matched_noise_v
     isw_index = record.index(isw.matched_time_s)
-    psw = _leading(
+    psw = _first_pulse(
         record,
         maxima,
         isw_index + settings.psw_earliest_s / record.step_s,
@@ -143,7 +143,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)
-        ssw = _leading(
+        ssw = _first_pulse(
             record,
             maxima,
             psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
@@ -209,7 +209,7 @@ def _find_isw(
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
-    pulse = _measure(record, first)
+    pulse = _measure_pulse(record, first)
     if pulse is None or pulse.amplitude_v < settings.missed_below_snr * record.noise_rms_v:
         return None
     if pulse.fwhm_s < settings.spike_width_ratio * settings.isw_fwhm_s:
@@ -221,7 +221,7 @@ def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings
     """Check whether the record has room for a reflected wave, or for a sound wall's if it is short."""
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
-        window_s = min(window_s, least_after_isw_s(settings))
+        window_s = min(window_s, minimum_after_isw_s(settings))
     return record.end_s - isw.matched_time_s >= window_s
 
 
@@ -231,7 +231,7 @@ def _maxima(values: FloatArray) -> list[int]:
     return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
 
-def _leading(
+def _first_pulse(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
     """Return the first pulse in a range above ``floor`` and above ``fraction`` of the highest there."""
@@ -240,7 +240,7 @@ def _leading(
     highest = max((height for _, height in inside), default=0.0)
     if highest <= 0.0:
         return None
-    pulse = _measure(record, next(index for index, height in inside if height >= fraction * highest))
+    pulse = _measure_pulse(record, next(index for index, height in inside if height >= fraction * highest))
     return None if pulse is None or pulse.amplitude_v < floor else pulse
 
 
@@ -250,7 +250,7 @@ def parabola_peak(before: float, centre: float, after: float) -> float:
     return 0.0 if curvature >= 0.0 else 0.5 * (before - after) / curvature
 
 
-def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
+def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Return quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
     before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
@@ -263,7 +263,7 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
     peak = low + int(smooth[low : centre + near + 1].argmax())
-    first, last = _above(smooth, peak, 0.5 * float(smooth[peak]))
+    first, last = _stretch_above(smooth, peak, 0.5 * float(smooth[peak]))
     if last - first < 6:
         return None
     fit = _quartic_maximum(near_pulse[first : last + 1])
@@ -285,7 +285,7 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     )
 
 
-def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
+def _stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
     """Return the first and last index of the stretch around ``peak`` that stays above ``level``.
 
     The last lies before the first if ``peak`` itself does not.
@@ -303,7 +303,7 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
     0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
     """
-    first, last = _above(values, peak, level)
+    first, last = _stretch_above(values, peak, level)
     if last < first:
         return 0.0
     if first == 0 or last == values.size - 1:

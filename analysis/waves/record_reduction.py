@@ -17,7 +17,7 @@ from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.fft_length import fast_length, together
+from analysis.waves.fft_length import apply_by_kind, fast_length
 
 FloatArray = NDArray[np.float64]
 
@@ -327,7 +327,7 @@ def _third_differences(blocks_v: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
+class VoltRecord:
     """Record in volts, shape (n_samples,); `clipped`: it touches an end of the ADC's range."""
 
     samples_v: FloatArray
@@ -336,7 +336,7 @@ class Given:
     clipped: bool = False
 
 
-def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list[ReducedRecord]:
+def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) -> list[ReducedRecord]:
     """Compute block means, quiet level, noise and matched filter of each record.
 
     The quiet level is the median of the block means before the trigger that also lie at least
@@ -351,12 +351,12 @@ def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list
         search windows.
     """
     levelled = [
-        _levelled(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
+        _remove_offset(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
     ]
     blocks = [one["blocks_v"] for one in levelled]
     widths = [settings.kernel_width_s / one["step_s"] for one in levelled]
     kinds = [(width, row.size) for width, row in zip(widths, blocks, strict=True)]
-    matched = together(blocks, kinds, lambda rows, kind: matched_filter(rows, kind[0]))
+    matched = apply_by_kind(blocks, kinds, lambda rows, kind: matched_filter(rows, kind[0]))
     return [
         ReducedRecord(
             **one,
@@ -367,7 +367,7 @@ def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list
     ]
 
 
-def _levelled(
+def _remove_offset(
     samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int, settings: ExtractionSettings
 ) -> dict[str, Any]:
     """Compute all fields of a `ReducedRecord` except the matched filter's."""
@@ -406,7 +406,7 @@ def _levelled(
     }
 
 
-def least_after_isw_s(settings: ExtractionSettings) -> float:
+def minimum_after_isw_s(settings: ExtractionSettings) -> float:
     """Return the minimum time from ISW to a sound wall's reflected wave.
 
     The record's end bounds the search.
@@ -434,7 +434,7 @@ def _check_record(
             f"at least {FEWEST_BLOCKS} are needed: sample at {FEWEST_BLOCKS / settings.isw_fwhm_s:.3g} Hz "
             "or more"
         )
-    needed_s = least_after_isw_s(settings)
+    needed_s = minimum_after_isw_s(settings)
     after_s = (n_samples - pretrigger_samples) / sample_rate_hz
     if after_s < needed_s:
         raise RecordError(

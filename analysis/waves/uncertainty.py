@@ -54,7 +54,7 @@ def standard_deviations(
     times, heights = {}, {}
     for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
         if pulse is not None and pulse.regular:
-            times[name], heights[name] = _top(pulse, s2, record.step_s)
+            times[name], heights[name] = _quartic_variances(pulse, s2, record.step_s)
             if pulse.amplitude_v > STANDS_OUT * math.sqrt(heights[name]):
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
@@ -66,7 +66,9 @@ def standard_deviations(
     if psw is None:
         return found
     ratio, isw_v = psw.amplitude_v / isw.amplitude_v, isw.amplitude_v
-    found["tof_mf_s"] = math.sqrt(_matched(isw, record, settings, s2) + _matched(psw, record, settings, s2))
+    found["tof_mf_s"] = math.sqrt(
+        _matched_time_variance(isw, record, settings, s2) + _matched_time_variance(psw, record, settings, s2)
+    )
     if "isw" in heights and "psw" in heights:
         found["tof_pp_s"] = math.sqrt(times["isw"] + times["psw"])
         of_tops = heights["psw"] + ratio**2 * heights["isw"]
@@ -81,13 +83,13 @@ def standard_deviations(
     if math.isfinite(values["tof_ac_s"]) and isw.fwhm_s > 0.0 and psw.fwhm_s > 0.0:
         slopes = [SLOPE_ENERGY * one.amplitude_v**2 * record.step_s / one.fwhm_s for one in (isw, psw)]
         found["tof_ac_s"] = record.step_s * math.sqrt(s2 * sum(1.0 / slope for slope in slopes))
-        found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient(
+        found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient_sd(
             record, isw, ratio, values["tof_ac_s"] + 2.0 * settings.window_half_width_s, noise
         )
     return found
 
 
-def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
+def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
     """Return the variances of time and height of a pulse's quartic."""
     u, inverse = pulse.top_place, _inverse(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
@@ -104,7 +106,9 @@ def _inverse(n: int) -> FloatArray:
     return np.asarray(solver @ solver.T)
 
 
-def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float) -> float:
+def _matched_time_variance(
+    pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
+) -> float:
     """Return the variance of a matched-filter time."""
     if pulse.matched_curvature_v >= 0.0:
         return math.nan
@@ -120,7 +124,9 @@ def _kernel_slope_energy(width_blocks: float) -> float:
     return float(slopes @ slopes)
 
 
-def _coefficient(record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour) -> float:
+def _coefficient_sd(
+    record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour
+) -> float:
     """Return the relative standard deviation of the autocorrelation coefficient."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s

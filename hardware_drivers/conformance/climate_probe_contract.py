@@ -45,6 +45,6 @@ class ClimateProbeContract:
         times = [stamp.mono_ns for stamp in stamps]
         assert times == sorted(times)
 
-    def test_no_time_is_no_order(self, climate: ClimateProbe) -> None:
+    def test_a_timeout_of_zero_is_refused(self, climate: ClimateProbe) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             climate.read(0.0)

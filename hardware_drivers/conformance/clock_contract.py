@@ -43,7 +43,7 @@ class ClockContract:
         assert clock.wait_until(now_ns - 3600 * NS_PER_S, lambda: True) is True
         assert clock.utc_ns() >= now_ns
 
-    def test_waiting_looks_around(self, clock: Clock) -> None:
+    def test_a_wait_calls_idle(self, clock: Clock) -> None:
         looks = itertools.count()
         clock.wait_until(clock.utc_ns() + round(self.AHEAD_S * NS_PER_S), lambda: next(looks) >= 0)
         # At least every 0.2 s of wall time; a clock that jumps looks around once.

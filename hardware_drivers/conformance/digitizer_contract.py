@@ -130,7 +130,7 @@ class DigitizerContract(ShotContract):
         took_s = monotonic_s() - began_s
         assert took_s <= longest_read_s, f"read({SHORT_TIMEOUT_S:g}) came back after {took_s:.1f} s"
 
-    def test_no_time_is_no_order(self, digitizer: Digitizer, keys: Keys) -> None:
+    def test_a_timeout_of_zero_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError, match="timeout_s"):
             digitizer.read(0.0)

@@ -9,7 +9,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hardware_drivers.conformance.bench import Double
-    from hardware_drivers.conformance.choice import Chosen
+    from hardware_drivers.conformance.choice import ChosenInstrument
 
 # Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
 _HERE = Path(__file__).parent
@@ -20,7 +20,7 @@ pytest.register_assert_rewrite(
 SUITES = "hardware_drivers.conformance.test_instrument"
 RULE_TIMEOUT_S = 120.0
 """A rule whose call has not come back by then is broken: it has no bound."""
-CHOSEN: pytest.StashKey[Chosen] = pytest.StashKey()
+CHOSEN: pytest.StashKey[ChosenInstrument] = pytest.StashKey()
 DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
 
 
@@ -52,11 +52,11 @@ def pytest_configure(config: pytest.Config) -> None:
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
         return
-    from hardware_drivers.conformance.choice import choose, find_double
+    from hardware_drivers.conformance.choice import choose_instrument, find_double
     from hardware_drivers.errors import ConfigurationError
 
     try:
-        config.stash[CHOSEN] = choose(kind, config.getoption("--solimon-config"))
+        config.stash[CHOSEN] = choose_instrument(kind, config.getoption("--solimon-config"))
         config.stash[DOUBLE] = find_double(where) if where else None
     except ConfigurationError as error:
         raise pytest.UsageError(str(error)) from error

@@ -59,6 +59,6 @@ class PulseEchoUnitContract(ShotContract):
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             pulse_echo.acquire(unknown_key, timeout_s)
 
-    def test_no_time_is_no_order(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
+    def test_a_timeout_of_zero_is_refused(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             pulse_echo.acquire(keys[0], 0.0)

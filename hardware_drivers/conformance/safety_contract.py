@@ -49,7 +49,7 @@ class SafetyContract:
         """Return the name of the fault to inject."""
         raise NotImplementedError
 
-    def test_left_in_the_middle_it_is_safe(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
+    def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
             for _, call in _calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
                 call()
@@ -72,7 +72,7 @@ class SafetyContract:
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
         errors = {}
-        with _lost(open_kind) as opened, _failing(bench, fault):
+        with _open_failing(open_kind) as opened, _failing(bench, fault):
             for name, call in _calls(opened, opening):
                 errors[name] = _error_of(name, call)
         assert any(errors.values()), (
@@ -82,7 +82,7 @@ class SafetyContract:
     def test_after_an_error_nothing_is_armed(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        with _lost(open_kind) as opened:
+        with _open_failing(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
             opened.digitizer.arm(_key("digitizer", opening))
@@ -99,7 +99,7 @@ class SafetyContract:
     ) -> None:
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did")
-        with _lost(open_kind) as opened, _failing(bench, fault):
+        with _open_failing(open_kind) as opened, _failing(bench, fault):
             for name, call in _calls(opened, opening, ("strike", "make_safe")):
                 _error_of(name, call)
                 assert _coils_on(bench) == [], f"after {name}"
@@ -108,7 +108,7 @@ class SafetyContract:
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        with ExitStack() as still, _lost(open_kind) as opened:
+        with ExitStack() as still, _open_failing(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_failing(bench, fault))
             for name, call in _calls(opened, opening):
@@ -119,7 +119,7 @@ class SafetyContract:
 
 
 @contextmanager
-def _lost(open_kind: Open) -> Iterator[Opened]:
+def _open_failing(open_kind: Open) -> Iterator[Opened]:
     """Open an instrument that will fail: an error when it is closed is expected."""
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())

@@ -62,7 +62,7 @@ class StrikerContract(ShotContract):
         striker.make_safe()
         assert coil_levels()[-1] == (keys[0].position, OFF)
 
-    def test_making_safe_does_not_end_the_experiment(
+    def test_making_safe_does_not_end_the_test(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
         striker.make_safe()

@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from hardware_drivers.conformance.bench import Bench, CoilLevels, Keys, MachineClock, Order, Strike
-from hardware_drivers.conformance.choice import Chosen
+from hardware_drivers.conformance.choice import ChosenInstrument
 from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
 from hardware_drivers.conformance.digitizer_contract import OVERRUN_S, SHORT_TIMEOUT_S, DigitizerContract
 from hardware_drivers.conformance.kind_contract import KindContract, Open
@@ -45,17 +45,17 @@ class OnTheBench:
             yield bench
 
     @pytest.fixture
-    def chosen(self, pytestconfig: pytest.Config) -> Chosen:
+    def chosen(self, pytestconfig: pytest.Config) -> ChosenInstrument:
         """Return the instrument that the options name."""
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
-    def kind(self, chosen: Chosen) -> Kind[Any]:
+    def kind(self, chosen: ChosenInstrument) -> Kind[Any]:
         """Return the kind under test."""
         return chosen.kind
 
     @pytest.fixture
-    def table(self, chosen: Chosen, bench: Bench) -> Mapping[str, Any]:
+    def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, Any]:
         """Return its parameters, with those that only the double knows."""
         return {**chosen.table, **bench.parameters}
 
@@ -65,7 +65,7 @@ class OnTheBench:
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
-    def opening(self, chosen: Chosen, pytestconfig: pytest.Config) -> Opening:
+    def opening(self, chosen: ChosenInstrument, pytestconfig: pytest.Config) -> Opening:
         """Return its opening; requests to a person go to the terminal."""
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
@@ -94,7 +94,7 @@ class OnTheBench:
             pytest.skip(NOT_ALLOWED)
 
     @pytest.fixture
-    def keys(self, chosen: Chosen) -> Keys:
+    def keys(self, chosen: ChosenInstrument) -> Keys:
         """Return two shots of one position."""
         (position, *_) = next(names for role, names in chosen.serves.items() if role == self.suite)
         return tuple(ShotKey(position=position, set_index=0, shot_index=i) for i in (0, 1))
@@ -123,7 +123,7 @@ class TestKind(OnTheBench, KindContract):
     suite = "kind"
 
     @pytest.fixture
-    def module(self, chosen: Chosen) -> str:
+    def module(self, chosen: ChosenInstrument) -> str:
         """Return the module that its entry points name."""
         return next(iter(chosen.offer.by_role.values())).module
 
@@ -152,7 +152,13 @@ class TestDigitizer(OnTheBench, DigitizerContract):
 
     @pytest.fixture
     def strike(
-        self, chosen: Chosen, bench: Bench, opened: Opened, opening: Opening, keys: Keys, allowed: None
+        self,
+        chosen: ChosenInstrument,
+        bench: Bench,
+        opened: Opened,
+        opening: Opening,
+        keys: Keys,
+        allowed: None,
     ) -> Iterator[Strike]:
         """Return a strike by the double, the instrument itself, or the striker of its position."""
         if bench.strike is not None:
@@ -189,7 +195,7 @@ class TestStriker(OnTheBench, StrikerContract):
         return opened.striker
 
     @pytest.fixture
-    def keys(self, chosen: Chosen) -> Keys:
+    def keys(self, chosen: ChosenInstrument) -> Keys:
         """Return a shot of each of two positions, of one if it has no more."""
         names = chosen.serves["striker"][:2]
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in names)

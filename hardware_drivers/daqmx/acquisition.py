@@ -18,8 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware_drivers.daqmx.boards import Board, agree
-from hardware_drivers.daqmx.connection import Connection, discard
+from hardware_drivers.daqmx.boards import Board, is_accepted
+from hardware_drivers.daqmx.connection import Connection, clear_task
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
@@ -97,7 +97,7 @@ class Acquisition:
 
     def close(self) -> bool:
         """Release the board; True if the driver confirmed it (errors are logged)."""
-        return discard(self.task, f"closing the acquisition of {self.position!r}")
+        return clear_task(self.task, f"closing the acquisition of {self.position!r}")
 
     def _require_edge(self, waveform: Waveform) -> None:
         """Reject a record that does not cross its own trigger level at the stated trigger sample."""
@@ -148,7 +148,7 @@ def commit_acquisition(
             task.control(TaskMode.TASK_COMMIT)
             return _committed(task, channel, parameters, position, board, record)
     except BaseException:
-        discard(task, f"setting up the acquisition of {position!r}")
+        clear_task(task, f"setting up the acquisition of {position!r}")
         raise
 
 
@@ -251,13 +251,13 @@ def _committed(
 
     wiring, triggered = parameters.transducers[position], record == "shot"
     rate_hz = float(task.timing.samp_clk_rate)
-    if not agree(rate_hz, parameters.sample_rate_hz):
+    if not is_accepted(rate_hz, parameters.sample_rate_hz):
         raise ConfigurationError(
             f"sample_rate_hz is {parameters.sample_rate_hz:.10g} Hz; {board.label} would use {rate_hz:.10g} "
             "Hz; ask for a rate that divides its time base, such as that one"
         )
     low_v, high_v = float(channel.ai_rng_low), float(channel.ai_rng_high)
-    if not (agree(high_v, wiring.range_v) and agree(-low_v, wiring.range_v)):
+    if not (is_accepted(high_v, wiring.range_v) and is_accepted(-low_v, wiring.range_v)):
         raise ConfigurationError(
             f"range_v is {wiring.range_v} V; {board.label} would use {low_v:g}..{high_v:g} V; choose a "
             "range it has"

@@ -153,7 +153,9 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
             f"{limit_hz:.10g} Hz on one channel; lower the rate to that or use a faster board"
         )
     ranges = list(zip(ends_v[::2], ends_v[1::2], strict=False))
-    if not any(agree(high, wiring.range_v) and agree(-low, wiring.range_v) for low, high in ranges):
+    if not any(
+        is_accepted(high, wiring.range_v) and is_accepted(-low, wiring.range_v) for low, high in ranges
+    ):
         have = ", ".join(f"{low:g}..{high:g}" for low, high in ranges)
         raise ConfigurationError(
             f"range_v is {wiring.range_v} V; {board.label} has the ranges {have} V; choose one of them"
@@ -164,6 +166,6 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
         )
 
 
-def agree(given: float, asked: float) -> bool:
+def is_accepted(given: float, asked: float) -> bool:
     """Check whether the driver took the requested value."""
     return math.isclose(given, asked, rel_tol=RELATIVE_AGREEMENT)

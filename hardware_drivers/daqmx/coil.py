@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hardware_drivers.daqmx.boards import Board
-from hardware_drivers.daqmx.connection import Connection, discard, discard_watchdog
+from hardware_drivers.daqmx.connection import Connection, clear_task, clear_watchdog
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import (
@@ -98,12 +98,12 @@ class Coil:
         except InstrumentError as error:
             log.warning("%s: its counter could not be stopped: %s", doing, str(error))
             well = False
-        if discard(self.task, doing):
+        if clear_task(self.task, doing):
             self.on_until = 0.0
         else:
             well = False
         if self.watchdog is not None:
-            well = discard_watchdog(self.watchdog, doing) and well
+            well = clear_watchdog(self.watchdog, doing) and well
         return well
 
 
@@ -127,15 +127,15 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         task = connection.task("striker")
     except BaseException:
         if watchdog is not None:
-            discard_watchdog(watchdog, doing)
+            clear_watchdog(watchdog, doing)
         raise
     try:
         with vendor_call(doing):
             _configure(task, parameters, position, board)
     except BaseException:
-        discard(task, doing)
+        clear_task(task, doing)
         if watchdog is not None:
-            discard_watchdog(watchdog, doing)
+            clear_watchdog(watchdog, doing)
         raise
     return Coil(
         position=position,
@@ -192,6 +192,6 @@ def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board
             )
             watchdog.control(TaskMode.TASK_COMMIT)
     except BaseException:
-        discard_watchdog(watchdog, doing)
+        clear_watchdog(watchdog, doing)
         raise
     return watchdog

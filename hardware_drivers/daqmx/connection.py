@@ -156,7 +156,7 @@ class Connection:
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
             except BaseException:
-                (discard_watchdog if session else discard)(task, doing)
+                (clear_watchdog if session else clear_task)(task, doing)
                 raise
         return task
 
@@ -171,7 +171,7 @@ class Connection:
         )
 
 
-def discard(task: Any, doing: str) -> bool:
+def clear_task(task: Any, doing: str) -> bool:
     """Release and clear a task in any state; True if it was cleared.
 
     Clearing alone would do; giving back first means that a refusal to clear leaves an empty task, which
@@ -179,16 +179,16 @@ def discard(task: Any, doing: str) -> bool:
     """
     from nidaqmx.constants import TaskMode
 
-    _tried(lambda: task.control(TaskMode.TASK_ABORT), doing)
-    return _tried(task.close, doing)
+    _attempt(lambda: task.control(TaskMode.TASK_ABORT), doing)
+    return _attempt(task.close, doing)
 
 
-def discard_watchdog(watchdog: Any, doing: str) -> bool:
+def clear_watchdog(watchdog: Any, doing: str) -> bool:
     """Release and clear a watchdog, which NI's package lets be cleared a second time, unlike a task."""
-    return discard(watchdog, doing) or _tried(watchdog.close, doing)
+    return clear_task(watchdog, doing) or _attempt(watchdog.close, doing)
 
 
-def _tried(step: Callable[[], None], doing: str) -> bool:
+def _attempt(step: Callable[[], None], doing: str) -> bool:
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")

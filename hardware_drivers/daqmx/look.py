@@ -36,7 +36,7 @@ BOARD_FACTS = (
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
 
 
-def findings(
+def board_findings(
     parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey], *, shot_interval_s: float
 ) -> list[Finding]:
     """Return findings on driver, boards and every transducer's wiring."""

@@ -64,19 +64,21 @@ class TransducerWiring:
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
-        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
-            _match("striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty")
+            _require_match(
+                "striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty"
+            )
         if self.input or not self.counter:
-            _match("input", self.input, _INPUT, "an analog input, like ai0")
+            _require_match("input", self.input, _INPUT, "an analog input, like ai0")
         if self.counter:
-            _match("counter", self.counter, _COUNTER, "a counter, like ctr0")
+            _require_match("counter", self.counter, _COUNTER, "a counter, like ctr0")
         if self.striker_serial and not (self.input and self.counter):
             raise ValueError(
                 f"striker_serial is {self.striker_serial}, but {'counter' if self.input else 'input'} is "
                 "empty, so one board does it all: name it as board_serial and leave striker_serial out"
             )
-        _match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
+        _require_match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
 
     @property
     def digitizes(self) -> bool:
@@ -106,11 +108,11 @@ class WatchdogWiring:
     """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
 
     def __post_init__(self) -> None:
-        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if not self.lines:
             raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
         for line in self.lines:
-            _match("lines", line, _LINE, "digital lines, like port2/line4")
+            _require_match("lines", line, _LINE, "digital lines, like port2/line4")
 
 
 @bounded
@@ -247,14 +249,16 @@ class DaqmxParameters:
 
     def _check_transport(self) -> None:
         if self.transport == "grpc":
-            _match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
+            _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
             raise ValueError(
                 f"grpc_address is {self.grpc_address!r} but transport is 'library'; set transport = 'grpc'"
             )
         if self.grpc_tls is not None and self.transport != "grpc":
             raise ValueError("grpc_tls is given but transport is 'library'; set transport = 'grpc'")
-        _match("grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -")
+        _require_match(
+            "grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -"
+        )
 
     def _check_wiring(self) -> None:
         """Reject two transducers on one input, counter or terminal.
@@ -346,6 +350,6 @@ class DaqmxParameters:
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 
 
-def _match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
+def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

@@ -78,7 +78,7 @@ class Survey:
         return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
 
 
-def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
+def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
     """Survey driver and boards before anything is wired; errors become findings."""
     no_wiring = {"": TransducerWiring(board_serial="0")}
     visit = _BoardSurvey(
@@ -94,7 +94,7 @@ def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address
     return visit.result()
 
 
-def survey(parameters: DaqmxParameters) -> Survey:
+def survey_rig(parameters: DaqmxParameters) -> Survey:
     """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
     visit = _BoardSurvey(parameters)
     connection = visit.reached()
@@ -254,7 +254,7 @@ class _BoardSurvey:
             self._checked(
                 subject,
                 "coil's counter",
-                lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
+                lambda: _released(commit_coil(connection, parameters, position, coil_board)),
             )
         if wiring.digitizes:
             self._look_at_noise(connection, position, board, coil_board)
@@ -268,7 +268,7 @@ class _BoardSurvey:
         self._checked(
             subject,
             "trigger",
-            lambda: _given_back(
+            lambda: _released(
                 commit_acquisition(connection, parameters, position, board, coil_board, record="shot")
             ),
         )
@@ -350,7 +350,7 @@ class _BoardSurvey:
         )
 
 
-def _given_back(committed: Acquisition | Coil) -> str:
+def _released(committed: Acquisition | Coil) -> str:
     if not committed.close():
         raise ConnectionLostError(
             "committed, but the driver did not take it back; end what else uses the board, or reset it"

@@ -166,7 +166,9 @@ class BoardConnection:
         try:
             with vendor_calls(self._niscope, f"asking {name!r} who it is"):
                 board = describe(self._session, name)
-                if self._serial_number and _plain(board.serial_number) != _plain(self._serial_number):
+                if self._serial_number and _normalized(board.serial_number) != _normalized(
+                    self._serial_number
+                ):
                     raise BoardAbsentError(
                         f"{name!r} is a {board.product} with serial number {board.serial_number!r}, not "
                         f"{self._serial_number!r}"
@@ -179,6 +181,6 @@ class BoardConnection:
         return board
 
 
-def _plain(serial_number: str) -> str:
+def _normalized(serial_number: str) -> str:
     """Remove the differences between a label and a driver: case and leading zeros."""
     return serial_number.strip().lstrip("0").casefold()

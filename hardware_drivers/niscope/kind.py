@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Echo
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.niscope.parameters import REACHED_BY, NiscopeParameters
 
@@ -49,7 +49,7 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
                 key = ShotKey(position=position, set_index=0, shot_index=0)
                 yield from _record(subject, unit.acquire(key, parameters.call_timeout_s))
         except InstrumentError as error:
-            yield failed(subject, check, error, RUNTIME)
+            yield finding_of_error(subject, check, error, RUNTIME)
 
 
 def _record(subject: str, echo: Echo) -> Iterator[Finding]:

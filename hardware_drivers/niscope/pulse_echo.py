@@ -83,7 +83,7 @@ class NiscopePulseEchoUnit:
             gain_db=wiring.gain_db,
             offset_v=setup.offset_v,
             averages=setup.records,
-            settings=_settings(wiring, board, setup, fetched, averaged, warned),
+            settings=_stored_settings(wiring, board, setup, fetched, averaged, warned),
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
@@ -147,7 +147,7 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
         yield NiscopePulseEchoUnit(parameters, connections)
 
 
-def _settings(
+def _stored_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
     """Return all settings that a reader of the record may need, SI units in the names."""

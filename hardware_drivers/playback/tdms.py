@@ -24,7 +24,7 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
-from hardware_drivers.playback.tdms_by_name import plays_by_name, shots_by_name
+from hardware_drivers.playback.tdms_by_name import is_by_name, shots_by_name
 from hardware_drivers.playback.tdms_channel import (
     Channel,
     Conversion,
@@ -41,7 +41,7 @@ _NAMES_SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Place:
+class _RecordLocation:
     """Location of a record, and its conversion to a waveform."""
 
     path: Path
@@ -65,7 +65,7 @@ class TdmsShots:
     Made by `open_tdms`. One file is kept open at a time.
     """
 
-    def __init__(self, places: Mapping[ShotKey, _Place], mapping: TdmsMapping) -> None:
+    def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
         self._places = places
         self._mapping = mapping
         self._positions = {key.position: _method(key.position, mapping) for key in places}
@@ -162,13 +162,13 @@ def open_tdms(
     """
     mapping = mapping or TdmsMapping()
     require_nptdms()
-    by_name = tuple(positions) if plays_by_name(mapping) else ()
+    by_name = tuple(positions) if is_by_name(mapping) else ()
     if by_name and not mapping.pulse_echo_positions:
         probes = tuple(name for name, method in positions.items() if method == PULSE_ECHO)
         mapping = replace(mapping, pulse_echo_positions=probes)
     if by_name and source.is_file() and re.fullmatch(mapping.file_pattern, source.name) is None:
         mapping = replace(mapping, file_pattern=".*")  # one file alone is set 0
-    places: dict[ShotKey, _Place] = {}
+    places: dict[ShotKey, _RecordLocation] = {}
     shared: dict[tuple[Any, ...], Conversion] = {}
     others: list[str] = []
     for path, name in _files(source, mapping):
@@ -208,7 +208,7 @@ def _records_of_file(
     shared: dict[tuple[Any, ...], Conversion],
     others: list[str],
     by_name: Sequence[str],
-) -> Iterator[tuple[ShotKey, _Place]]:
+) -> Iterator[tuple[ShotKey, _RecordLocation]]:
     """Find the records of the matching channels; names that do not match are added to ``others``."""
     from_file = re.fullmatch(mapping.file_pattern, name)
     if from_file is None:
@@ -238,22 +238,24 @@ def _records_of_file(
     others += [f"{name}/{group}/{channel}" for group, channel in unmatched if (group, channel) not in matched]
     for channel in channels:
         key = shot_key(channel, matched[channel.group, channel.name], mapping)
-        place = _place(channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared)
-        yield from _appended(key, place, channel.n_samples, mapping)
+        place = _first_location(
+            channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared
+        )
+        yield from _appended_records(key, place, channel.n_samples, mapping)
 
 
-def _place(
+def _first_location(
     channel: Channel,
     name: str,
     position: str,
     mapping: TdmsMapping,
     shared: dict[tuple[Any, ...], Conversion],
-) -> _Place:
+) -> _RecordLocation:
     """Return the first record of a channel."""
     n_samples = samples_of_record(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
     conversion = _shared(conversion_of(channel, mapping), shared)
-    return _Place(
+    return _RecordLocation(
         path=channel.path,
         group=channel.group,
         channel=channel.name,
@@ -273,9 +275,9 @@ def _place(
     )
 
 
-def _appended(
-    key: ShotKey, place: _Place, n_samples: int, mapping: TdmsMapping
-) -> Iterator[tuple[ShotKey, _Place]]:
+def _appended_records(
+    key: ShotKey, place: _RecordLocation, n_samples: int, mapping: TdmsMapping
+) -> Iterator[tuple[ShotKey, _RecordLocation]]:
     """Yield the first record of a channel and those appended to it."""
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)

@@ -14,7 +14,7 @@ from hardware_drivers.playback.parameters import TdmsMapping
 _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
-def plays_by_name(mapping: TdmsMapping) -> bool:
+def is_by_name(mapping: TdmsMapping) -> bool:
     """Return whether the mapping leaves the shots to the names of channels."""
     defaults = TdmsMapping()
     keys = (
@@ -48,7 +48,7 @@ def shots_by_name(
     found: dict[tuple[str, str], Mapping[str, str | None]] = {}
     of_shot: dict[tuple[str, int], str] = {}
     for group, name in channels:
-        fits = _fits(mapping.rename.get(name, name), positions)
+        fits = _possible_shots(mapping.rename.get(name, name), positions)
         if not fits:
             continue
         (position, shot), *others = fits
@@ -69,7 +69,7 @@ def shots_by_name(
     return found
 
 
-def _fits(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
+def _possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
     """Return each position and shot that a channel's name may mean, the exact one first."""
     if name in positions:
         return [(name, None)]

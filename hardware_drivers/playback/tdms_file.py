@@ -45,10 +45,10 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
         for group in file.groups():
             for channel in group.channels():
                 if wanted(group.name, channel.name):
-                    _refuse_cut_short(path, channel, statuses)
+                    _require_complete_values(path, channel, statuses)
                     if len(channel):
-                        found.append(_described(path, file, group, channel))
-        _refuse_loose_end(path)
+                        found.append(_describe(path, file, group, channel))
+        _require_complete_end(path)
     return found
 
 
@@ -89,7 +89,7 @@ def _opened(path: Path) -> Iterator[Any]:
         yield nptdms.TdmsFile.open(file, raw_timestamps=True)
 
 
-def _described(path: Path, file: Any, group: Any, channel: Any) -> Channel:
+def _describe(path: Path, file: Any, group: Any, channel: Any) -> Channel:
     return Channel(
         path=path,
         group=group.name,
@@ -115,7 +115,7 @@ def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
     return np.asarray(values)
 
 
-def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
+def _require_complete_values(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
     """Reject missing values, which npTDMS fills with zeros or omits; only its status shows them."""
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:
@@ -125,7 +125,7 @@ def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> 
         )
 
 
-def _refuse_loose_end(path: Path) -> None:
+def _require_complete_end(path: Path) -> None:
     """Reject a last segment with cut metadata, which npTDMS takes for the end of the file.
 
     Shots would vanish.

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, finding_of_error
 from hardware_drivers.serial_port.parameters import (
     CLIMATE_REACHED_BY,
     SUPPLY_REACHED_BY,
@@ -43,7 +43,7 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
         yield Opened(climate=probe)
 
 
-def _identified(subject: str, identity: Mapping[str, str]) -> Finding:
+def _identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
     detail = ", ".join(identity.values())
     return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 
@@ -55,7 +55,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
     subject, check = "supply", "identity"
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
         try:
-            yield _identified(subject, supply.identity())
+            yield _identity_finding(subject, supply.identity())
             check = "read-back"
             actual = supply.read_back(parameters.read_timeout_s)
             tripped, unknown = str(actual["tripped"]), str(actual["protection_unknown"])
@@ -85,7 +85,7 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
                 values={name: getattr(reading, name) for name in ("output_on", "voltage_v", "current_a")},
             )
         except InstrumentError as error:
-            yield failed(subject, check, error, CABLE)
+            yield finding_of_error(subject, check, error, CABLE)
 
 
 def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
@@ -95,7 +95,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
     subject, check = "climate probe", "identity"
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
         try:
-            yield _identified(subject, probe.identity())
+            yield _identity_finding(subject, probe.identity())
             check = "reading"
             reading = probe.read(parameters.read_timeout_s)
             yield Finding(
@@ -106,7 +106,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
                 values={name: getattr(reading, name) for name in ("temperature_c", "relative_humidity")},
             )
         except InstrumentError as error:
-            yield failed(subject, check, error, CABLE)
+            yield finding_of_error(subject, check, error, CABLE)
 
 
 SUPPLY = Kind(

@@ -174,10 +174,10 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
             f"{path} cannot be opened as configured: {error}; correct the line's parameters"
         ) from error
     except PORT_ERRORS as error:
-        raise _explained(path, error) from error
+        raise _explain(path, error) from error
 
 
-def ports_there() -> dict[str, str]:
+def serial_ports() -> dict[str, str]:
     """Return the serial ports of this computer: a permanent name and a description of each."""
     there = {}
     for info in sorted(list_ports.comports()):
@@ -205,7 +205,7 @@ def _path_of(port: str) -> str:
     return str(paths[0])
 
 
-def _explained(path: str, error: Exception) -> InstrumentError:
+def _explain(path: str, error: Exception) -> InstrumentError:
     """Return the reason why a port could not be opened; a temporary one is no configuration error."""
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:

@@ -170,7 +170,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     )
 
 
-def struck_again(
+def with_other_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
     """Return the same bodies with another drop height of the striker and another tilt of the sensor.

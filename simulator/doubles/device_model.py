@@ -37,7 +37,7 @@ from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Reservations
 from simulator.doubles.daqmx.strikes import Strikes
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Clock, Handler, TaskHandler, WallClock
-from simulator.doubles.faults import Faults, lie
+from simulator.doubles.faults import Faults, wrong_answer
 from simulator.doubles.niscope.device_model import NiscopeBrain
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import EntryPoint
@@ -251,7 +251,7 @@ class Brain:
         if fault is not None and fault.kind == "error":
             raise Status(fault.code, "Ordered by a test.")
         if fault is not None and fault.kind == "lie":
-            return lie(entry, arguments, lambda: self._answer(client, entry, arguments))
+            return wrong_answer(entry, arguments, lambda: self._answer(client, entry, arguments))
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:

@@ -136,7 +136,7 @@ class Faults:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
 
-def lie(
+def wrong_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Return a plausible wrong answer: success without doing it, or slightly changed values.
@@ -157,19 +157,19 @@ def lie(
         elif parameter.role is Role.OUT_ARRAY and any(name in values for name in counts):
             values[parameter.name] = values[parameter.name][: len(values[parameter.name]) // 2]
         else:
-            values[parameter.name] = _bent(parameter, values[parameter.name])
+            values[parameter.name] = _distorted(parameter, values[parameter.name])
     return values
 
 
-def _bent(parameter: Parameter, value: Any) -> Any:
+def _distorted(parameter: Parameter, value: Any) -> Any:
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:
         return np.asarray(value) * 2
-    return _bent_number(parameter.scalar, value)
+    return _distorted_number(parameter.scalar, value)
 
 
-def _bent_number(scalar: Scalar, value: Any) -> Any:
+def _distorted_number(scalar: Scalar, value: Any) -> Any:
     if scalar is FLOAT64:
         return value * 1.01
     if scalar is HANDLE:

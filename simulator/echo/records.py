@@ -141,7 +141,7 @@ def averaged_record(
         return mean_v, 0
     ends_v = calibration.volts(np.array([low, high], dtype=np.int32))
     total_v, clipped = np.zeros_like(mean_v), 0
-    for records in _batches(echo.averages):
+    for records in _batch_sizes(echo.averages):
         volts = mean_v + noise_v * random.standard_normal((records, mean_v.size))
         counts = counts_of(volts, calibration)
         clipped += int(np.count_nonzero((counts <= low + 1).any(axis=1) | (counts >= high).any(axis=1)))
@@ -149,7 +149,7 @@ def averaged_record(
     return total_v / echo.averages, clipped
 
 
-def _batches(records: int) -> Iterator[int]:
+def _batch_sizes(records: int) -> Iterator[int]:
     """Split a number of records into parts of at most `RECORDS_AT_ONCE`."""
     for first in range(0, records, RECORDS_AT_ONCE):
         yield min(RECORDS_AT_ONCE, records - first)

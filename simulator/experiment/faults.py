@@ -79,11 +79,11 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
             delay_s, height_fraction = _second_strike(faults, seed, key)
         truth["fault_double_delay_s"] = math.nan if delay_s is None else delay_s
         truth["fault_double_height_fraction"] = math.nan if delay_s is None else height_fraction
-    tilt_rad = faults.tilt.tilt_rad * _grown(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
+    tilt_rad = faults.tilt.tilt_rad * _grown_fraction(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
     if faults.tilt.tilt_rad > 0.0:
         truth["fault_tilt_rad"] = tilt_rad
     wear = faults.bead_wear
-    radius_factor = 1.0 + wear.radius_growth_fraction * _grown(wear.onset_h, wear.ramp_h, hour_h)
+    radius_factor = 1.0 + wear.radius_growth_fraction * _grown_fraction(wear.onset_h, wear.ramp_h, hour_h)
     if wear.radius_growth_fraction > 0.0:
         truth["fault_bead_wear_radius_factor"] = radius_factor
     if faults.pzt_ageing.loss_fraction_per_year > 0.0:
@@ -100,7 +100,7 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
         truth["fault_loose_contact_damping_factor"] = damping_factor
         gain_factor *= truth["fault_loose_contact_gain_factor"]
     warmer = faults.temperature
-    temperature_k = warmer.change_k * _grown(warmer.onset_h, warmer.ramp_h, hour_h)
+    temperature_k = warmer.change_k * _grown_fraction(warmer.onset_h, warmer.ramp_h, hour_h)
     if warmer.change_k != 0.0:
         truth["fault_temperature_k"] = temperature_k
     if faults.clipping.gain_factor > 1.0:
@@ -120,7 +120,7 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     )
 
 
-def _grown(onset_h: float, ramp_h: float, hour_h: float) -> float:
+def _grown_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
     """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
     if hour_h < onset_h:
         return 0.0

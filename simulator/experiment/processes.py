@@ -26,7 +26,7 @@ RESEAT_BLOCK_H = 1_000.0
 """Re-seats are drawn for so many hours at a time."""
 
 
-def _kept(drawn: FloatArray) -> FloatArray:
+def _read_only(drawn: FloatArray) -> FloatArray:
     drawn.flags.writeable = False
     return drawn
 
@@ -47,7 +47,9 @@ def memory_weights(memory: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(1.0 - memory**2) * memory ** np.arange(LAGS - 1, -1, -1.0)[:, None])
 
 
-def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
+def autocorrelated_values(
+    weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int
+) -> FloatArray:
     """Return stationary processes of variance 1 at a set, shape (n,).
 
     Parameters
@@ -75,11 +77,11 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
 def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
     """Return the innovations of `LAGS` sets, those before the test in block 0."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
-    return _kept(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
+    return _read_only(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
 
 
 @lru_cache(maxsize=256)
-def wander(
+def draw_slow_drift(
     purpose: Purpose, seed: int, position: str, size: int, shortest_h: float, longest_h: float
 ) -> tuple[FloatArray, FloatArray]:
     """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
@@ -89,11 +91,11 @@ def wander(
     random = generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
     phases = random.uniform(0.0, 2.0 * np.pi, (size, WANDER_TERMS))
-    return _kept(shortest_h * (longest_h / shortest_h) ** steps), _kept(phases)
+    return _read_only(shortest_h * (longest_h / shortest_h) ** steps), _read_only(phases)
 
 
-def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the value of `wander`, of variance 1, at an hour, shape (size,).
+def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the value of `draw_slow_drift`, of variance 1, at an hour, shape (size,).
 
     n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
     """
@@ -102,7 +104,7 @@ def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray
     return np.asarray(np.sqrt(2.0 / WANDER_TERMS) * turns.sum(axis=-1))
 
 
-def place_after_reseats(
+def values_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
     """Return the number of re-seats so far, and each source's value after the last one.
@@ -128,11 +130,11 @@ def _reseats(
     random = generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
     hours_h = RESEAT_BLOCK_H * (block + np.sort(random.uniform(0.0, 1.0, count)))
-    return _kept(hours_h), _kept(random.standard_normal((count, size)))
+    return _read_only(hours_h), _read_only(random.standard_normal((count, size)))
 
 
 @lru_cache(maxsize=256)
-def noisy(seed: int, hour: int, probability: float) -> bool:
+def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
     """Return whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
     return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
-from simulator.experiment.processes import wander, wandering
+from simulator.experiment.processes import draw_slow_drift, slow_drift
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -25,7 +25,7 @@ LOWEST_DROP_FRACTION = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Temperature:
-    """Temperature of the room over time: day and night, and a slow seeded drift (`processes.wander`)."""
+    """Room temperature over time: day and night, and a slow seeded drift (`processes.draw_slow_drift`)."""
 
     drift: DriftParameters
     drawn: tuple[FloatArray, FloatArray]
@@ -40,13 +40,13 @@ def _temperature_c(room: Temperature, hour_h: float) -> float:
     """Return the temperature of a drifting room, cached: all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
-    wander_k = drift.wander_sd_k * wandering(hour_h, room.drawn)[0]
+    wander_k = drift.wander_sd_k * slow_drift(hour_h, room.drawn)[0]
     return float(drift.mean_temperature_c + day + wander_k)
 
 
 def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
     """Draw the slow drift of the room, the same for all positions."""
-    drawn = wander(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
+    drawn = draw_slow_drift(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
     return Temperature(drift=drift, drawn=drawn)
 
 

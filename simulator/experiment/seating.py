@@ -13,12 +13,12 @@ import numpy as np
 
 from simulator.experiment.faults import HOURS_PER_YEAR
 from simulator.experiment.processes import (
+    autocorrelated_values,
+    draw_slow_drift,
+    is_noisy_hour,
     memory_weights,
-    noisy,
-    place_after_reseats,
-    remembering,
-    wander,
-    wandering,
+    slow_drift,
+    values_after_reseats,
 )
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
@@ -47,7 +47,7 @@ class Climate:
 
     def process_k(self, hour_h: float) -> float:
         """Return the temperature of the plate relative to the room."""
-        return self.parameters.process_sd_k * float(wandering(hour_h, self.process)[0])
+        return self.parameters.process_sd_k * float(slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
         """Return the liquid's depth relative to the full one.
@@ -71,7 +71,7 @@ def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
         parameters=parameters,
         warmest_hour_h=warmest_hour_h,
         season_rad=float(generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
-        process=wander(
+        process=draw_slow_drift(
             Purpose.PROCESS, seed, "", 1, parameters.shortest_process_h, parameters.longest_process_h
         ),
         refilled=float(generator(seed, Purpose.REFILLS).random()),
@@ -187,7 +187,7 @@ def seat_of_set(
     """Find where a set's shots scatter about; `warmer_k` as of `nuisance.TransducerNuisance.at`."""
     parameters, sources = NUISANCE[level], _sources(level, chain)
     size, n = sources.set_sd.size, chain.bodies
-    slow = wander(
+    slow = draw_slow_drift(
         Purpose.SEATING_WANDER,
         seed,
         position,
@@ -195,16 +195,16 @@ def seat_of_set(
         parameters.shortest_wander_h,
         parameters.longest_wander_h,
     )
-    reseats, place = place_after_reseats(
+    reseats, place = values_after_reseats(
         hour_h, parameters.reseats_per_1000_h / 1_000.0, seed=seed, position=position, size=size
     )
-    moved = remembering(
+    moved = autocorrelated_values(
         sources.memory, parameters.tail_dof, seed=seed, position=position, set_index=set_index
     )
     thousands = hour_h / 1_000.0
     growth = 1.0 + parameters.scatter_growth_per_1000_h * thousands
     stands = growth * sources.set_sd * moved
-    stands = stands + sources.wander_sd * wandering(hour_h, slow) + sources.reseat_sd * place
+    stands = stands + sources.wander_sd * slow_drift(hour_h, slow) + sources.reseat_sd * place
     logs = (sources.effect * stands).sum(axis=1)  # BLAS would round as the machine likes
 
     wear = math.log1p(parameters.wear_per_1000_h * thousands)
@@ -230,5 +230,5 @@ def seat_of_set(
         plate_warmer_k=plate_k,
         plate_modulus_factor=plate_modulus,
         liquid_factor=weather.liquid_factor(hour_h),
-        noisy=noisy(seed, int(hour_h), parameters.noisy_hour_probability),
+        noisy=is_noisy_hour(seed, int(hour_h), parameters.noisy_hour_probability),
     )

@@ -49,7 +49,7 @@ FOLDER_LIMIT_BYTES: Final = 500_000_000
 """Beyond this the oldest files are removed: several hundred plates."""
 
 
-def kept_arrays(
+def cached_arrays(
     folder: Path | None, key: str, compute: Callable[[], Mapping[str, FloatArray]]
 ) -> dict[str, FloatArray]:
     """Read the arrays stored in `folder` under `key`, or compute and store them.
@@ -82,12 +82,12 @@ def content_key(described: Mapping[str, object]) -> str:
     described
         The name of the computation and everything that goes in, for `json.dumps`.
     """
-    text = json.dumps({"described": described, "made_with": _made_with()}, sort_keys=True)
+    text = json.dumps({"described": described, "made_with": _environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def _made_with() -> dict[str, object]:
+def _environment() -> dict[str, object]:
     """Return what else determines the digits; linear algebra has other kernels on another processor."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
     return {"code": source_digest(), "libraries": libraries, "blas": blas_libraries()}

@@ -108,7 +108,7 @@ def _one_width(given: Sequence[Any]) -> Lanes | None:
     return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
 
 
-def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """Return an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
@@ -136,7 +136,7 @@ def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., A
     return _intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
 
 
-def _called(name: str) -> Callable[[Any, Any], Any]:
+def _call_of(name: str) -> Callable[[Any, Any], Any]:
     def emit(builder: Any, values: Any) -> Any:
         kind = values[0].type
         function_type = ir.FunctionType(kind, [kind] * len(values))
@@ -146,10 +146,10 @@ def _called(name: str) -> Callable[[Any, Any], Any]:
     return emit
 
 
-fma = _of_lanes(3, _called("llvm.fma"))
+fma = _lane_intrinsic(3, _call_of("llvm.fma"))
 """``a b + c``, rounded once."""
-sqrt = _of_lanes(1, _called("llvm.sqrt"))
-absolute = _of_lanes(1, _called("llvm.fabs"))
+sqrt = _lane_intrinsic(1, _call_of("llvm.sqrt"))
+absolute = _lane_intrinsic(1, _call_of("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
@@ -165,11 +165,11 @@ def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 
-positive = _of_lanes(1, _positive)
+positive = _lane_intrinsic(1, _positive)
 """``max(a, 0)``; 0 for what is not a number."""
-where_greater = _of_lanes(4, _where_greater)
+where_greater = _lane_intrinsic(4, _where_greater)
 """c in the lanes with a > b, d in the others."""
-unless_within = _of_lanes(4, _where_not_less_or_equal)
+unless_within = _lane_intrinsic(4, _where_not_less_or_equal)
 """d in the lanes with a <= b, c in the others, also where one of them is not a number."""
 
 

@@ -95,7 +95,7 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
     done = 0
     while done < size:
         if words[4] or done + 1 == size:
-            drawn[done] = _one(words, _next_uint32(words), inside, widths, heights)
+            drawn[done] = _next_number(words, _next_uint32(words), inside, widths, heights)
             done += 1
             continue
         # Two numbers of each word, which stays in registers, as long as all lie well inside their layers.
@@ -110,10 +110,10 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
             s1 = s2 + (s2 << np.uint64(3))
             s2 = ((s2 << np.uint64(24)) | (s2 >> np.uint64(40))) + given
             low, high = np.uint32(given & np.uint64(0xFFFFFFFF)), np.uint32(given >> np.uint64(32))
-            first, low_inside = _signed(low, inside, widths)
+            first, low_inside = _number_in_layer(low, inside, widths)
             if not low_inside:
                 break
-            second, high_inside = _signed(high, inside, widths)
+            second, high_inside = _number_in_layer(high, inside, widths)
             drawn[done] = first
             if not high_inside:
                 break
@@ -122,15 +122,15 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
         words[0], words[1], words[2], words[3], words[5] = s0, s1, s2, counter, np.uint64(high)
         if not low_inside:
             words[4] = np.uint64(1)
-            drawn[done] = _one(words, low, inside, widths, heights)
+            drawn[done] = _next_number(words, low, inside, widths, heights)
             done += 1
         elif not high_inside:
-            drawn[done + 1] = _one(words, high, inside, widths, heights)
+            drawn[done + 1] = _next_number(words, high, inside, widths, heights)
             done += 2
 
 
 @compiled(error_model="numpy")
-def _signed(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
+def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
     """Return a number from 32 bits, and whether it is under the curve everywhere in its layer."""
     layer = bits & np.uint32(LAYERS - 1)
     place = bits >> np.uint32(9)
@@ -138,10 +138,12 @@ def _signed(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
 
 
 @compiled(error_model="numpy")
-def _one(words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table) -> Any:
+def _next_number(
+    words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
+) -> Any:
     """Return a number from 32 bits, or from the next ones where it is above the curve."""
     while True:
-        x, under = _signed(bits, inside, widths)
+        x, under = _number_in_layer(bits, inside, widths)
         if under:
             return x
         layer = bits & np.uint32(LAYERS - 1)

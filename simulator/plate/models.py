@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
-from simulator.numerics.array_cache import content_key, kept_arrays
+from simulator.numerics.array_cache import cached_arrays, content_key
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -50,11 +50,11 @@ def modal_plate(
     if plate.model == "mindlin":
         return reduced_plate(plate, corrosion, cache_folder)
     if plate.model == "solid":
-        return KeptSolid(plate, corrosion, cache_folder)
+        return CachedSolid(plate, corrosion, cache_folder)
     return None
 
 
-class KeptSolid:
+class CachedSolid:
     """Solid plate whose modes are computed once per depth, and cached on disk.
 
     With `plate.solid.one_basis` what is computed and kept is a basis for all depths.
@@ -108,7 +108,7 @@ class KeptSolid:
                 return asdict(solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
-        found = kept_arrays(self._folder, content_key(described), compute)
+        found = cached_arrays(self._folder, content_key(described), compute)
         residual_m_per_n = float(found.pop("residual_compliance_m_per_n"))
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
@@ -119,4 +119,4 @@ class KeptSolid:
 
         footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
         described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
-        return family_of(kept_arrays(self._folder, content_key(described), compute))
+        return family_of(cached_arrays(self._folder, content_key(described), compute))

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware_drivers.bounds import check_values
-from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, struck_again
+from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, with_other_strike
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
@@ -324,7 +324,7 @@ class ShotModel:
             height_m = chain.drop_height_m if height_m is None else float(height_m)
             tilt_rad = chain.tilt_rad if tilt_rad is None else float(tilt_rad)
             check_values(ChainParameters, {"drop_height_m": height_m, "tilt_rad": tilt_rad})
-            struck = struck_again(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
+            struck = with_other_strike(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
         if impact.second_delay_s is None:
             return struck
         second_speed = struck.impact_speed_m_per_s

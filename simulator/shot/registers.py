@@ -69,7 +69,7 @@ class Propagator(NamedTuple):
     mobility_m_per_n_s: float = 0.0
 
 
-class Found(NamedTuple):
+class Results(NamedTuple):
     """Output of the time loop, float64.
 
     Attributes
@@ -145,7 +145,7 @@ class Contact(NamedTuple):
     rest: Any  # contact and cut modes in series, together compressed before the strike
 
 
-class Last(NamedTuple):
+class LastBody(NamedTuple):
     """Last body, its contact with the plate, and the plate's past; a vector each, one shot per lane."""
 
     u: Any

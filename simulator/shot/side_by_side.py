@@ -9,7 +9,7 @@ import numpy as np
 from simulator.chain.spheres import Chain
 from simulator.numerics.arrays import FloatArray
 from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, NARROWEST, WIDEST, kernel
-from simulator.shot.registers import Chains, Found, Propagator, Strikes
+from simulator.shot.registers import Chains, Propagator, Results, Strikes
 
 WORTH_A_WIDE_PASS = 5
 """Shots from which on a pass of `kernel.WIDEST` lanes costs less than two after two."""
@@ -68,7 +68,7 @@ def _side_by_side(
     bodies = len(chain.mass_kg)
     force = np.empty((steps, width))
     contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
-    found = Found(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
+    found = Results(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
     kernel(width, chain.damping_exponent == 0.0)(
         Chains(
             chain.mass_kg,

@@ -85,7 +85,7 @@ def test_the_next_shot_opens_the_unit_again_after_it_was_unplugged(scope):
     np.testing.assert_array_equal(first.waveform.counts, second.waveform.counts)
 
 
-def test_a_handle_of_before_is_a_lost_connection(scope):
+def test_an_old_handle_is_a_lost_connection(scope):
     with opened() as its:
         its.digitizer.arm(KEY)
         scope.unplug()
@@ -117,7 +117,7 @@ def test_the_error_shows_the_code_of_an_unknown_status(scope):
             its.digitizer.arm(KEY)
 
 
-def test_samples_that_are_missing_are_no_record(scope):
+def test_missing_samples_are_an_error(scope):
     real = scope.bs_get_values
 
     def short(handle, buffer, n_samples, overflow):
@@ -130,7 +130,7 @@ def test_samples_that_are_missing_are_no_record(scope):
             take(its.digitizer, scope, pulse_v())
 
 
-def test_waiting_asks_seldom(scope, monkeypatch):
+def test_a_wait_polls_rarely(scope, monkeypatch):
     asked, now_s = [], [0.0]
     monkeypatch.setattr("block_scope.unit.time.monotonic", lambda: now_s[0])
 
@@ -159,7 +159,7 @@ def test_a_rate_that_would_be_rounded_is_refused(scope):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"record_samples": 500}, "pretrigger_samples is 1000"),
         ({"range_v": 3.0}, "range_v is 3.0; the oscilloscope has"),
@@ -177,7 +177,7 @@ def test_a_position_without_an_input_is_refused_when_the_configuration_is_read()
         KIND.require(BlockScopeParameters(channels={"B": "A"}), {"digitizer": ("C",)})
 
 
-def test_it_says_who_it_is(scope):
+def test_the_identity_is_reported(scope):
     with opened(serial=SERIAL) as its:
         assert its.identity["serial"] == SERIAL
     (finding,) = KIND.check(BlockScopeParameters(channels={"B": "A"}), OPENING)
@@ -185,7 +185,7 @@ def test_it_says_who_it_is(scope):
     assert SERIAL in finding.detail
 
 
-def test_a_library_that_is_not_there_is_named():
+def test_the_error_names_a_missing_library():
     with pytest.raises(ConfigurationError, match="no-such-library"):
         api.load("no-such-library")
 

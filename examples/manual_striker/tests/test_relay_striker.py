@@ -47,7 +47,7 @@ def slept(board, monkeypatch):
     return seconds
 
 
-def test_a_strike_is_this_dialogue(slept, sent):
+def test_a_strike_sends_these_commands(slept, sent):
     with KIND.open(PARAMETERS, OPENING) as its:
         sent.clear()
         its.striker.strike(KEY)
@@ -95,7 +95,7 @@ def test_the_error_names_the_plug_to_pull_when_a_relay_stays_on(slept, board, mo
             its.striker.strike(KEY)
 
 
-def test_one_relay_that_does_not_answer_keeps_no_other_on(slept, board, monkeypatch):
+def test_the_other_relays_go_off_when_one_does_not_answer(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match="relay 0 may be on"):
         with KIND.open(PARAMETERS, OPENING) as its:

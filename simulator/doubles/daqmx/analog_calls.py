@@ -19,7 +19,7 @@ from simulator.doubles.daqmx.analog_input import (
     Acquisition,
     InputChannel,
     record_samples,
-    recorded,
+    recorded_codes,
 )
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
@@ -39,7 +39,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     configuration = arguments["terminal_config"]
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
         detail = f"You Can Select: {device.kind.terminal_configuration}"
-        raise statuses.unfit(task.name, "AI.TermCfg", detail, requested=configuration)
+        raise statuses.rejected_property(task.name, "AI.TermCfg", detail, requested=configuration)
     task.take_channel(
         "ai",
         InputChannel(
@@ -67,7 +67,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
     """Answer `DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
-        raise statuses.unfit(task.name, "SampClk.Src", detail, requested=arguments["source"])
+        raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
     _change(
         task,
         {
@@ -122,7 +122,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
         values={"samps_per_chan_read": 0},
     )
     tasks.wait(bench, task, timeout_s, late)
-    codes = None if run.ended else recorded(bench, task)
+    codes = None if run.ended else recorded_codes(bench, task)
     if codes is None:
         raise late
     first = run.read_samples

@@ -12,7 +12,13 @@ from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import FALLING, fire, require_start_route, short_name, waits_for
+from simulator.doubles.daqmx.routing import (
+    FALLING,
+    fire_edge,
+    require_start_route,
+    short_name,
+    start_trigger_of,
+)
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
 from simulator.doubles.vendor_api import statuses
@@ -116,7 +122,7 @@ class AnalogInput:
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
             detail = "The double samples with a sample clock only."
-            raise statuses.unfit(task.name, "SampTimingType", detail)
+            raise statuses.rejected_property(task.name, "SampTimingType", detail)
         _verify_record(task)
         _verify_start(bench, task)
 
@@ -131,17 +137,17 @@ class AnalogInput:
         """Start sampling now, or at the start trigger."""
         task.n_starts += 1
         if task.device.parameters.simulated:
-            codes = counts_of(_made_up_volts(task), task.channel.calibration)
+            codes = counts_of(_simulated_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
             return
-        task.run = Acquisition(begin_ns=None if waits_for(task) else now_ns)
+        task.run = Acquisition(begin_ns=None if start_trigger_of(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
         """Start sampling and notify all waiters for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
-        fire(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
+        fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
         """Discard the acquired samples."""
@@ -160,7 +166,7 @@ class AnalogInput:
         return run.done_ns
 
 
-def _made_up_volts(task: Task) -> FloatArray:
+def _simulated_volts(task: Task) -> FloatArray:
     """Return a full-scale sine wave with 3 % noise, as NI's driver does for a simulated device.
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
@@ -185,7 +191,7 @@ def rate_hz(task: Task) -> float:
     limit_hz = kind.max_rate_hz
     # The timebase divided by a whole number may exceed the limit by a rounding error.
     if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
-        raise statuses.unfit(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
+        raise statuses.rejected_property(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
     coerced_hz = kind.coerced_rate_hz(asked_hz)
     return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
 
@@ -207,36 +213,42 @@ def _has_reference_trigger(task: Task) -> bool:
 
 def _verify_start(bench: Bench, task: Task) -> None:
     """Check that the start trigger can reach the board, and the delay after it."""
-    if waits_for(task):
+    if start_trigger_of(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
         return
     if task.settings.get("StartTrig.DelayUnits") != SECONDS:
-        raise statuses.unfit(task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only.")
+        raise statuses.rejected_property(
+            task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only."
+        )
     shortest, longest = task.device.kind.start_delay_ticks
     ticks = start_delay_s(task) * task.device.kind.timebase_hz
     if not shortest <= ticks <= longest:
         code = statuses.START_DELAY_TOO_SHORT if ticks < shortest else statuses.START_DELAY_TOO_LONG
         requested = f"{ticks} ticks of {shortest} to {longest}"
-        raise statuses.unfit(task.name, "StartTrig.Delay", code=code, requested=requested)
+        raise statuses.rejected_property(task.name, "StartTrig.Delay", code=code, requested=requested)
 
 
 def _verify_record(task: Task) -> None:
     """Check that the record is finite and holds the pre-trigger, and that the trigger is a task's channel."""
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
-        raise statuses.unfit(task.name, "SampQuant.SampMode", "The double samples finite records only.")
+        raise statuses.rejected_property(
+            task.name, "SampQuant.SampMode", "The double samples finite records only."
+        )
     samples = record_samples(task)
     if samples < SMALLEST_RECORD:
         name = "SampQuant.SampPerChan"
-        raise statuses.unfit(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
+        raise statuses.rejected_property(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
     if not _has_reference_trigger(task):
         return
     pretrigger = int(settings["RefTrig.PretrigSamples"])
     if not 2 <= pretrigger <= samples - 2:
         name, code = "RefTrig.PretrigSamples", statuses.TOO_MANY_PRETRIGGER_SAMPLES
         most = samples - 2
-        raise statuses.unfit(task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most)
+        raise statuses.rejected_property(
+            task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most
+        )
     channel: InputChannel = task.channel
     source = str(settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
     if source not in (channel.name.casefold(), channel.physical_name.casefold()):
@@ -244,7 +256,7 @@ def _verify_record(task: Task) -> None:
     level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
     if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
         name, detail = "AnlgEdge.RefTrig.Lvl", "The double triggers on a rising edge above 0 V."
-        raise statuses.unfit(task.name, name, detail, requested=level_v, maximum=channel.range_v)
+        raise statuses.rejected_property(task.name, name, detail, requested=level_v, maximum=channel.range_v)
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
@@ -345,7 +357,7 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     return True
 
 
-def recorded(bench: Bench, task: Task) -> Counts | None:
+def recorded_codes(bench: Bench, task: Task) -> Counts | None:
     """Return the codes of a finished record; without a trigger, of the present input."""
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
@@ -368,7 +380,7 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
     return None
 
 
-def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
+def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
     """Search again for the trigger of a record whose strike was cut short or cancelled."""
     for task in bench.tasks.values():
         run = task.run
@@ -378,11 +390,11 @@ def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
                 run.strike = run.codes = run.done_ns = None
 
 
-def started_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
+def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
     """Correct the tasks that depend on an edge of a pulse that ends early."""
     for task in bench.tasks.values():
         run = task.run
-        if not isinstance(run, Acquisition) or run.ended or waits_for(task) != short_name(terminal):
+        if not isinstance(run, Acquisition) or run.ended or start_trigger_of(task) != short_name(terminal):
             continue
         if pulse.start_ns > now_ns:
             run.begin_ns = None

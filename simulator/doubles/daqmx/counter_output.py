@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.daqmx.analog_input import forget_strike, started_by
+from simulator.doubles.daqmx.analog_input import correct_started_tasks, search_again
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import FALLING, RISING, fire, waits_for
+from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, start_trigger_of
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, unfit
+from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, rejected_property
 
 LOW = 10214
 HIGH = 10192
@@ -74,7 +74,9 @@ class CounterOutput:
             ("CO.Pulse.HighTime", task.channel.high_s, 2.0 / TIMEBASE_HZ),
         ):
             if not shortest_s <= time_s <= longest_s:
-                raise unfit(task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s)
+                raise rejected_property(
+                    task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s
+                )
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """Reserve the counter, and the pin it drives."""
@@ -93,7 +95,7 @@ class CounterOutput:
             if mine and watch.run is not None and watch.run.expired_ns is not None:
                 raise Status(WATCHDOG_EXPIRED, task=task.name)
         task.n_starts += 1
-        task.run = Generation(begin_ns=None if waits_for(task) else now_ns)
+        task.run = Generation(begin_ns=None if start_trigger_of(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
@@ -110,7 +112,7 @@ class CounterOutput:
         bench.lines.start(pulse)
         for terminal in (channel.pin, channel.internal_output):
             for edge, edge_ns in ((RISING, pulse.start_ns), (FALLING, pulse.end_ns)):
-                fire(bench, f"/{channel.device.name}/{terminal}", edge_ns, edge)
+                fire_edge(bench, f"/{channel.device.name}/{terminal}", edge_ns, edge)
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
@@ -121,7 +123,7 @@ class CounterOutput:
         cut(bench, task, 0, now_ns, cause)
         if run.pulse is not None and run.pulse.end_ns > now_ns:
             for name in (task.channel.pin, task.channel.internal_output):
-                started_by(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
+                correct_started_tasks(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
@@ -137,7 +139,7 @@ def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
     if strike is not None and strike.released_ns > now_ns:
         # It still hangs: now it falls.
         bench.strikes.cut(strike, now_ns)
-        forget_strike(bench, strike, now_ns)
+        search_again(bench, strike, now_ns)
     bench.changed.notify_all()
 
 
@@ -163,7 +165,7 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:
         detail = "The double's pins are low between pulses."
-        raise unfit(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
+        raise rejected_property(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
     task.take_channel(
         "co",
         PulseChannel(

@@ -17,7 +17,7 @@ from simulator.doubles.vendor_api.wire import names_of
 POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
-def _present(bench: Bench, name: str) -> Device:
+def _require_present(bench: Bench, name: str) -> Device:
     """Return the board for an operation on the hardware itself; a removed one is absent (-200324)."""
     try:
         return bench.devices.find(name)
@@ -27,7 +27,7 @@ def _present(bench: Bench, name: str) -> Device:
         raise Status(statuses.DEVICE_ABSENT, f"Device Specified: {name}") from status
 
 
-def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
+def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
     """Take a board away from its tasks and set its lines low."""
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
@@ -41,15 +41,15 @@ def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
 
 def reset(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxResetDevice`: tasks lose the board, its lines go low, its routes are removed."""
-    device = _present(bench, arguments["device_name"])
-    _taken_away(bench, device, statuses.DEVICE_ABORTED, "reset")
+    device = _require_present(bench, arguments["device_name"])
+    _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxSelfCal`: only while no task holds the board."""
-    device = _present(bench, arguments["device_name"])
+    device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
             statuses.RESERVED_BY_OTHER_PROCESS,
@@ -97,7 +97,7 @@ def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
 
 def unplug(bench: Bench, serial_number: int) -> None:
     """Remove a board: its tasks are lost, its lines go low."""
-    _taken_away(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
+    _take_from_tasks(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 

@@ -33,14 +33,14 @@ def short_name(terminal: str) -> str:
     return terminal.strip().lstrip("/").casefold()
 
 
-def waits_for(task: Task) -> str:
+def start_trigger_of(task: Task) -> str:
     """Return the terminal whose edge starts the task, empty if it starts at once."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
 
 
-def fire(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
+def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
     """Start the tasks that wait for this edge at a terminal, also along routes and the backplane's lines."""
     reached = {short_name(terminal)}
     while True:
@@ -50,7 +50,11 @@ def fire(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
         reached |= onward
     for task in tuple(bench.tasks.values()):
         waiting = task.state is TaskState.RUNNING and task.run.begin_ns is None
-        if waiting and _same(waits_for(task), reached) and task.settings["DigEdge.StartTrig.Edge"] == edge:
+        if (
+            waiting
+            and _same(start_trigger_of(task), reached)
+            and task.settings["DigEdge.StartTrig.Edge"] == edge
+        ):
             bench.kinds[task.kind].triggered(bench, task, at_ns)
 
 
@@ -97,13 +101,13 @@ def require_start_route(bench: Bench, task: Task) -> None:
     Status
         The board cannot be started by that counter (-89136), or is in another chassis (-89125).
     """
-    name, _, end = waits_for(task).partition("/")
+    name, _, end = start_trigger_of(task).partition("/")
     if not end.endswith(INTERNAL_OUTPUT):
         return
     source, device = bench.devices.find(name), task.device
     if source is device:
         if int(end.removeprefix("ctr").removesuffix(INTERNAL_OUTPUT)) not in device.kind.starting_counters:
-            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {waits_for(task)}", task=task.name)
+            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name)
     elif "slot" not in name or _chassis(name) != _chassis(device.name):
         between = f"Source Device: {source.name}\nDestination Device: {device.name}"
         raise Status(NO_TRIGGER_LINE, between, task=task.name)

@@ -203,7 +203,7 @@ class Strikes:
             wave = self._through_board(self.specimen, strike, wave_adc, calibration)
             if wave is not None:
                 begins += wave.truth["trigger_time_s"] * rate_hz
-                _paste(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
+                _insert_wave(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
         crosstalk = self.crosstalk(key.position)
         if not crosstalk.silent:
             volts += crosstalk.volts(self.coil_pulses(key.position), first_ns, rate_hz, volts.size)
@@ -236,7 +236,7 @@ class Strikes:
                 log.warning("the twin cannot compute position %s: %s", position, error)
 
 
-def _paste(volts: FloatArray, wave: FloatArray, at: int) -> None:
+def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
     """Insert a wave, with its own noise, into a longer record as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:

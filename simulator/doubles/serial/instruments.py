@@ -188,11 +188,11 @@ def main() -> int:
             ready = json.dumps({"event": "ready", **ports}) if options.json else f"ports: {ports}"
             print(ready, flush=True)
             for line in sys.stdin:
-                print(json.dumps(_answered(instruments, line)), flush=True)
+                print(json.dumps(_answer_line(instruments, line)), flush=True)
     return 0
 
 
-def _answered(instruments: SerialInstruments, line: str) -> dict[str, Any]:
+def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

@@ -112,7 +112,9 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
         super().__init__(self.message)
 
 
-def unfit(task: str, name: str, detail: str = "", *, code: int = INVALID_VALUE, **values: object) -> Status:
+def rejected_property(
+    task: str, name: str, detail: str = "", *, code: int = INVALID_VALUE, **values: object
+) -> Status:
     """Return the status for a rejected property.
 
     ``requested``, ``minimum`` and ``maximum``, in NI's words.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, content_key, kept_arrays
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, cached_arrays, content_key
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -33,7 +33,7 @@ def reduced_plate(
         with one_blas_thread():
             return asdict(reduce_plate(build_plate(plate, corrosion)))
 
-    return ReducedPlate(**kept_arrays(folder, reduction_key(plate, corrosion), compute))
+    return ReducedPlate(**cached_arrays(folder, reduction_key(plate, corrosion), compute))
 
 
 def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:

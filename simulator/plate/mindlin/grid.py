@@ -106,7 +106,7 @@ def graded_edge(
     growth = _sharing_growth(near / first_m, far / first_m, spare)
     steps = np.log1p(growth * far / first_m) - np.log1p(growth * near / first_m)
     counts = np.ones(len(left), dtype=np.int64)
-    counts[graded] = _shared_out(steps * (spare / steps.sum()), spare)
+    counts[graded] = _distribute(steps * (spare / steps.sum()), spare)
     pieces = [
         _graded_piece(float(a), float(b), int(n), first_m, growth)
         for a, b, n in zip(left, right, counts, strict=True)
@@ -144,7 +144,7 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     return float(optimize.brentq(excess, smallest, largest, rtol=1e-12))
 
 
-def _shared_out(wanted: FloatArray, total: int) -> IntArray:
+def _distribute(wanted: FloatArray, total: int) -> IntArray:
     """Return whole numbers, at least 1, that add up to `total` and are near `wanted`."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:

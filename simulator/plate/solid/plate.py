@@ -278,12 +278,12 @@ def assembled_solid(
         lagrange(q, 2.0 * z_m[:upper_nodes] / z_m[upper_nodes - 1] - 1.0)[0],
         lagrange(q, 2.0 * z_m / z_m[-1] - 1.0)[0],
     )
-    there = _there(x, y, len(z_m), upper_nodes, inside)
+    there = _existing_nodes(x, y, len(z_m), upper_nodes, inside)
     for kind in (1, 2):
         there[kinds == kind] = np.arange(len(z_m)) < q + 1
-    held = _held(plate.support if support is None else support, there.shape, symmetry)
+    held = _fixed_displacements(plate.support if support is None else support, there.shape, symmetry)
     numbers = _numbered(there[..., None] & ~held, symmetry)
-    lift = _lift(numbers, kinds, shapes)
+    lift = _lift_matrix(numbers, kinds, shapes)
     weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
     force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
     force[:, :, 2, 0] = weights
@@ -327,7 +327,9 @@ def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters,
     return np.asarray(kinds)
 
 
-def _there(x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray) -> NDArray[np.bool_]:
+def _existing_nodes(
+    x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
+) -> NDArray[np.bool_]:
     """Return which nodes belong to an element, shape (nodes of x, of y, of z)."""
     there = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
     there[:, :, :upper_nodes] = True
@@ -336,7 +338,7 @@ def _there(x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray)
     return there
 
 
-def _held(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
+def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
     """Return which displacements the supports and the symmetry planes fix."""
     held = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
@@ -370,7 +372,9 @@ def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
     return numbers
 
 
-def _lift(numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]) -> sparse.csr_matrix:
+def _lift_matrix(
+    numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
+) -> sparse.csr_matrix:
     """Return the map from the unknowns to the displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)

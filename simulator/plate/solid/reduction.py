@@ -257,7 +257,7 @@ def solid_modes(
     SpecimenError
         The model does not know such a plate or patch; see `build_solid_plate`.
     """
-    corrosion = _without_trace(corrosion)
+    corrosion = _without_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
     projected = project(built, krylov_fields(built, vectors))
     remaining = 1.0 - corrosion.depth_fraction * corrosion.depth_factor
@@ -274,7 +274,7 @@ def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) 
     return contact_correction_m_per_n(plate, corrosion) - indentation
 
 
-def _without_trace(corrosion: CorrosionParameters) -> CorrosionParameters:
+def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion
