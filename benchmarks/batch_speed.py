@@ -80,7 +80,7 @@ def flops_per_shot(bodies: int, modes: int, steps: int) -> float:
 
 def modes_of(model: ShotModel) -> int:
     """Return the modes in the bank of the pristine depth, zeros of full blocks included."""
-    (propagator,) = [made for (depth, *_), made in model._prepared.items() if depth == 0.0]
+    (propagator,) = [entry for (depth, *_), entry in model._prepared.items() if depth == 0.0]
     return propagator.bank.size // 16
 
 

@@ -123,7 +123,7 @@ def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
         "onset known": np.zeros(1),
         "onset unknown": np.arange(0.0, LATEST_ONSET, STEP),
     }
-    grown = {name: white @ growths(model, its) for name, its in onsets.items()}
+    grown = {name: white @ growths(model, growth_of_onset) for name, growth_of_onset in onsets.items()}
     found: dict[str, list[float]] = {name: [] for name in onsets}
     for _ in range(HISTORIES):
         reseats = random.poisson(NUISANCE[level].reseats_per_1000_h * SETS / 1_000.0)
@@ -137,8 +137,10 @@ def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
             ]
             places = np.hstack(columns)
             seen = seen + places @ random.standard_normal((places.shape[1], RUNS))
-        for name, its in grown.items():
-            ratio = scipy.special.logsumexp(log_ratios(its, seen, places), axis=1) - np.log(its.shape[1])
+        for name, growth_of_onset in grown.items():
+            ratio = scipy.special.logsumexp(log_ratios(growth_of_onset, seen, places), axis=1) - np.log(
+                growth_of_onset.shape[1]
+            )
             passed = ratio > -np.log(FALSE_RATE)
             first = np.where(passed.any(axis=0), passed.argmax(axis=0), AFTER)
             found[name] += (CORROSION.depth * first / AFTER).tolist()

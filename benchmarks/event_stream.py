@@ -353,8 +353,8 @@ def main() -> None:
         print(asyncio.run(count_incomplete_clients(options.load, options.clients)))
         return
 
-    def report(what: str) -> None:
-        print(f"measuring: {what}", file=sys.stderr, flush=True)
+    def report(stage: str) -> None:
+        print(f"measuring: {stage}", file=sys.stderr, flush=True)
 
     found: dict[str, Any] = {"cores": os.cpu_count()}
     with tempfile.TemporaryDirectory() as name:

@@ -70,9 +70,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="data folder of a test")
     parser.add_argument("--times", type=int, default=10)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        folder = asked.folder or create_filled_test(Path(place))
+        folder = options.folder or create_filled_test(Path(place))
         server = subprocess.Popen(
             [sys.executable, "-c", SERVER, str(folder)],
             stdin=subprocess.PIPE,
@@ -82,15 +82,15 @@ def main() -> None:
         )
         try:
             assert server.stdout is not None
-            times_by_name = visit_times(server.stdout.readline().strip(), asked.times)
+            times_by_name = visit_times(server.stdout.readline().strip(), options.times)
         finally:
             assert server.stdin is not None
             server.stdin.close()
             server.wait()
-    if asked.json:
+    if options.json:
         print(json.dumps(times_by_name))
         return
-    print(f"{'':22}{'median':>10}{'least':>10}{'most':>10}   ms, {asked.times} visits")
+    print(f"{'':22}{'median':>10}{'least':>10}{'most':>10}   ms, {options.times} visits")
     for name, times_ms in times_by_name.items():
         print(f"{name:22}{statistics.median(times_ms):10.1f}{min(times_ms):10.1f}{max(times_ms):10.1f}")
 

@@ -216,8 +216,8 @@ def main() -> None:
     parser.add_argument("--answers", type=int, default=400)
     parser.add_argument("--json", action="store_true")
     chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        folder = chosen.folder or Path(made)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = chosen.folder or Path(temporary)
         if not (folder / FILE_NAME).exists():
             folder.mkdir(parents=True, exist_ok=True)
             fill(folder, chosen.sets)

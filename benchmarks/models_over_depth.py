@@ -207,14 +207,16 @@ def as_markdown(rows: list[Row]) -> str:
         lines += ["| Model | Patch | " + " | ".join(f"{depth:.0%}" for depth in DEPTHS) + " | Change |"]
         lines += ["|---|---|" + "---|" * (len(DEPTHS) + 1)]
         for model, patch in dict.fromkeys((row.model, row.patch) for row in rows if row.sensor == sensor):
-            its = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]
+            matching = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]
             cells = [
                 "no wave back" if math.isnan(row.tof_us) else f"{row.tof_us:.2f} / {row.amplitude_ratio:.4f}"
-                for row in its
+                for row in matching
             ]
-            cells += ["-"] * (len(DEPTHS) - len(its))
+            cells += ["-"] * (len(DEPTHS) - len(matching))
             changes = [
-                (abs(row.tof_change_us), abs(row.ratio_change or 0.0)) for row in its if row.tof_change_us
+                (abs(row.tof_change_us), abs(row.ratio_change or 0.0))
+                for row in matching
+                if row.tof_change_us
             ]
             worst = " / ".join(f"{max(column):.1g}" for column in zip(*changes, strict=True)) or "-"
             lines.append(f"| {model} | {patch} | " + " | ".join([*cells, worst]) + " |")

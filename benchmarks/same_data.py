@@ -78,20 +78,22 @@ def main() -> int:
             pairs = zip(tables.get(name, []), other.get(name, []), strict=False)
             first = next(((a, b) for a, b in pairs if a != b), "the number of rows")
             differing.append(f"table {name}: {first}")
-    held, other_held = list(datasets(ours)), list(datasets(theirs))
-    if [name for name, _, _ in held] != [name for name, _, _ in other_held]:
+    our_data, their_data = list(datasets(ours)), list(datasets(theirs))
+    if [name for name, _, _ in our_data] != [name for name, _, _ in their_data]:
         differing.append("the datasets have other names")
     differing += [
         f"dataset {name}"
-        for (name, data, attributes), (_, other_data, other_attributes) in zip(held, other_held, strict=False)
+        for (name, data, attributes), (_, other_data, other_attributes) in zip(
+            our_data, their_data, strict=False
+        )
         if (data, attributes) != (other_data, other_attributes)
     ]
     n_rows = sum(map(len, tables.values()))
-    facts = {"tables": len(tables), "rows": n_rows, "datasets": len(held), "differing": differing}
+    facts = {"tables": len(tables), "rows": n_rows, "datasets": len(our_data), "differing": differing}
     if options.json:
         print(json.dumps(facts, default=str))
     else:
-        print(f"{len(tables)} tables with {n_rows} rows, {len(held)} datasets: {len(differing)} differ")
+        print(f"{len(tables)} tables with {n_rows} rows, {len(our_data)} datasets: {len(differing)} differ")
         print("\n".join(str(line)[:1000] for line in differing[:20]))
     return 1 if differing else 0
 

@@ -74,8 +74,18 @@ def main() -> None:
         folder = arguments.folder
         if folder is None:
             folder = Path(place) / "data"
-            words = ["demo", "--exit", "--no-web", "--hours", str(arguments.hours), "--data-dir", str(folder)]
-            subprocess.run([sys.executable, "-m", "daq_service.cli", *words], check=True, capture_output=True)
+            command = [
+                "demo",
+                "--exit",
+                "--no-web",
+                "--hours",
+                str(arguments.hours),
+                "--data-dir",
+                str(folder),
+            ]
+            subprocess.run(
+                [sys.executable, "-m", "daq_service.cli", *command], check=True, capture_output=True
+            )
         seconds = measure(folder, arguments.rounds)
         megabytes = sum(path.stat().st_size for path in (folder / "sets").glob("*.h5")) / 1e6
     rates = {name: megabytes / s for name, s in seconds.items()}

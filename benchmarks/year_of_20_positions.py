@@ -368,7 +368,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
     hours = [f"from_h={middle}", f"to_h={middle}", f"from_h={middle}&to_h={middle + 24}", "to_h=1",
              f"from_h={end_h - 1}"]  # fmt: skip
     named = [f"position={position}", *(f"position={position}&{part}" for part in hours)]
-    asked = {
+    queries_by_path = {
         "sets": [*hours, *named, "state=missed", "state=retired", f"state=missed&position={position}",
                  f"state=done&position={position}", f"state=missed&from_h={middle}"],
         "features": [*hours, *named, f"set_index={index}", f"set_index={index}&{named[0]}",
@@ -391,7 +391,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
     path = path.replace("{alarm_id}", str(chance.randint(1, 1 + (n_sets - 1) // ALARM_EVERY)))
     path = path.replace("{command_id}", str(chance.randrange(1, COMMANDS)))
     path = path.replace("{position}", "P00" if "live" in path else position)
-    return [path, *(f"{path}?{query}" for query in asked.get(path.rpartition("/")[2], []))]
+    return [path, *(f"{path}?{query}" for query in queries_by_path.get(path.rpartition("/")[2], []))]
 
 
 async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -> dict[str, list[Seconds]]:
@@ -407,8 +407,10 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
             if "get" not in methods or path.startswith(LEFT_OUT):
                 continue
             for _ in range(rounds):
-                for asked in queries(path, n_sets, chance):
-                    taken.setdefault(path, []).extend([took async for took in _pages_s(client, asked)])
+                for queries_by_path in queries(path, n_sets, chance):
+                    taken.setdefault(path, []).extend(
+                        [took async for took in _pages_s(client, queries_by_path)]
+                    )
             while len(taken[path]) < FEWEST_A_ROUND * rounds:
                 taken[path].extend(
                     [took async for took in _pages_s(client, queries(path, n_sets, chance)[0])]
@@ -426,9 +428,9 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
     return taken
 
 
-async def _pages_s(client: httpx.AsyncClient, asked: str) -> AsyncIterator[Seconds]:
+async def _pages_s(client: httpx.AsyncClient, queries_by_path: str) -> AsyncIterator[Seconds]:
     """Yield seconds of the first pages of a listing, or of the one answer."""
-    url = httpx.URL(asked)
+    url = httpx.URL(queries_by_path)
     for _ in range(PAGES):
         began = _now()
         answer = await client.get(url)

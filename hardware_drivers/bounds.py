@@ -49,9 +49,9 @@ def _of_hint(hint: Any) -> list[_Bound]:
     if not marks:
         marks = [mark for part in get_args(hint) for mark in getattr(part, "__metadata__", ())]
     return [
-        (words, getattr(mark, attribute), holds)
+        (relation, getattr(mark, attribute), holds)
         for mark in marks
-        for kind, attribute, words, holds in _COMPARISONS
+        for kind, attribute, relation, holds in _COMPARISONS
         if isinstance(mark, kind)
     ]
 
@@ -73,12 +73,12 @@ def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
             continue
         if isinstance(value, float) and not math.isfinite(value):
             raise ValueError(f"{name} is {value}; it must be a finite number")
-        for words, limit, holds in bounds:
+        for relation, limit, holds in bounds:
             if not holds(value, limit):
-                raise ValueError(f"{name} is {value}; it must be {words} {limit}")
+                raise ValueError(f"{name} is {value}; it must be {relation} {limit}")
 
 
-def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "") -> None:
+def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
     """Raise ValueError unless one value is ``at least``, ``later than``, ``below`` or ``less than`` another.
 
     Parameters
@@ -89,8 +89,8 @@ def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "
         As printed behind a value, with its space.
     """
     value, limit = getattr(parameters, name), getattr(parameters, other)
-    if not _PAIRS[words](value, limit):
-        raise ValueError(f"{name} is {value}{unit}; it must be {words} {other} ({limit}{unit})")
+    if not _PAIRS[relation](value, limit):
+        raise ValueError(f"{name} is {value}{unit}; it must be {relation} {other} ({limit}{unit})")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
@@ -102,10 +102,10 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
     """
     own_checks: Callable[[Parameters], None] | None = parameters.__dict__.get("__post_init__")
 
-    def check(made: Parameters) -> None:
-        check_bounds(made)
+    def check(parameters_object: Parameters) -> None:
+        check_bounds(parameters_object)
         if own_checks is not None:
-            own_checks(made)
+            own_checks(parameters_object)
 
     untyped: Any = parameters
     untyped.__post_init__ = check

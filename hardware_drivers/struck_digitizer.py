@@ -47,10 +47,10 @@ class StruckDigitizer(ABC):
 
     def strike(self, key: ShotKey) -> bool:
         """Store the first strike at the armed position; return whether this is it, any other is lost."""
-        heard = self._armed is not None and self._armed.position == key.position and self._struck is None
-        if heard:
+        recorded = self._armed is not None and self._armed.position == key.position and self._struck is None
+        if recorded:
             self._struck = key
-        return heard
+        return recorded
 
     def read(self, timeout_s: float) -> Acquired:
         """Return the record and disarm; the time that takes never makes a strike a missed one."""

@@ -152,8 +152,8 @@ class RecordsAhead:
 
 def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
     """Group neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
-    for _, alike in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
-        while group := list(islice(alike, LARGEST_GROUP)):
+    for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
+        while group := list(islice(neighbours, LARGEST_GROUP)):
             yield group
 
 
@@ -192,10 +192,10 @@ class Bench(StruckDigitizer):
 
     def strike(self, key: ShotKey) -> bool:
         """Send a wave down the chain: only the first one at the armed position is recorded."""
-        heard = super().strike(key)
-        if heard:
+        recorded = super().strike(key)
+        if recorded:
             self._struck_utc_ns = self.clock.utc_ns()
-        return heard
+        return recorded
 
     def record_of(self, key: ShotKey) -> Acquired:
         """Sample the PZT disk around the trigger."""
@@ -217,10 +217,10 @@ class Bench(StruckDigitizer):
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
-def _require_position(key: ShotKey, known: Mapping[str, object], what: str) -> None:
+def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise ConfigurationError(f"no {what} at position {key.position!r}; there are: {names}")
+        raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -296,10 +296,10 @@ class Specimen:
         """Return the voltage that no strike causes, that of the variability included."""
         if found is None or not found.rings:
             return self.stray
-        heard: list[Stray] = [ring.volts for ring in found.rings]
+        strays: list[Stray] = [ring.volts for ring in found.rings]
         if self.stray is not None:
-            heard.append(self.stray)
-        return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in heard], axis=0)
+            strays.append(self.stray)
+        return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in strays], axis=0)
 
     def _plate_temperature_c(self, hour_h: float) -> float:
         if self.climate is None:

@@ -117,8 +117,12 @@ def diagnosis_of(
 
 def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
     """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state."""
-    away, moved = (memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True))
-    return memory.n >= FEWEST_AVERAGED and bool(away @ away < moved @ moved)
+    deviation_from_baseline, moved = (
+        memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True)
+    )
+    return memory.n >= FEWEST_AVERAGED and bool(
+        deviation_from_baseline @ deviation_from_baseline < moved @ moved
+    )
 
 
 def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
@@ -139,8 +143,8 @@ def _posterior(
 ) -> tuple[dict[str, float], float]:
     """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
     seen, noise, course = _observations(memory, design, from_moved=from_moved)
-    whole = np.linalg.inv(np.linalg.cholesky(noise))
-    seen, course = whole @ seen @ design.whitening, course @ whole.T
+    noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
+    seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
     steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
@@ -158,7 +162,10 @@ def _posterior(
 
 
 def _log_densities(
-    design: DiagnosisParameters, which: NDArray[np.intp] | slice, along: FloatArray, length: FloatArray
+    design: DiagnosisParameters,
+    hypothesis_indices: NDArray[np.intp] | slice,
+    along: FloatArray,
+    length: FloatArray,
 ) -> FloatArray:
     """Return log densities of hypotheses and courses over that of no change, shape (h, s).
 
@@ -168,8 +175,11 @@ def _log_densities(
         What is seen along each course, shape (s, 7), and the course's length, shape (s,).
     """
     # The seven directions come first: sums of seven neighbours each cost ten times as much.
-    means, variances = design.means[which].T[:, :, None], design.variances[which].T[:, :, None]
-    turned = design.directions[which].transpose(2, 0, 1)
+    means, variances = (
+        design.means[hypothesis_indices].T[:, :, None],
+        design.variances[hypothesis_indices].T[:, :, None],
+    )
+    turned = design.directions[hypothesis_indices].transpose(2, 0, 1)
     parts = (turned.reshape(-1, turned.shape[2]) @ along.T).reshape(*turned.shape[:2], -1) - length * means
     spread = 1.0 + length**2 * variances
     explained = (parts**2 / spread).sum(axis=0) + np.log(spread.prod(axis=0))

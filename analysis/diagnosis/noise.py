@@ -48,8 +48,8 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
         Of these sets in the plan, shape (n,).
     """
     w, at = whitened[-MOST_SETS:], indices[-MOST_SETS:]
-    apart = np.abs(np.subtract.outer(at, at))
-    parts = PHI[:, None, None] ** apart
+    distance = np.abs(np.subtract.outer(at, at))
+    parts = PHI[:, None, None] ** distance
     seen, directions = w @ w.T, w.shape[1]
     found = BEFOREHAND
     for _ in range(ITERATIONS):

@@ -150,9 +150,9 @@ def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> 
     """Return the covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
-    kept = (1.0 - rates)[:, None]
-    with_older = (1.0 - (phi * kept) ** (n - ago)) / (1.0 - phi * kept)
-    pairs = (kept * kept.T)[:, :, None] ** ago * (with_older[:, None] + with_older - 1.0)
+    decay = (1.0 - rates)[:, None]
+    with_older = (1.0 - (phi * decay) ** (n - ago)) / (1.0 - phi * decay)
+    pairs = (decay * decay.T)[:, :, None] ** ago * (with_older[:, None] + with_older - 1.0)
     covariance = np.outer(rates, rates) * pairs.sum(axis=2)
     if confirmation_ago is None:
         return np.asarray(covariance)

@@ -64,12 +64,12 @@ def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
     outside = np.flatnonzero(~core)
     if not near.all():
         whitened = _whitened(x, core)
-        alike = _find_group(whitened, np.flatnonzero(~near), MANY_ALIKE)
-        if not alike.size:
-            alike = _find_group(whitened, outside, FEW_ALIKE)
-        if alike.size:
-            found.append(Anomaly(kind="group", rows=tuple(alike.tolist())))
-        found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in alike]
+        group = _find_group(whitened, np.flatnonzero(~near), MANY_ALIKE)
+        if not group.size:
+            group = _find_group(whitened, outside, FEW_ALIKE)
+        if group.size:
+            found.append(Anomaly(kind="group", rows=tuple(group.tolist())))
+        found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in group]
     if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
         found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
@@ -118,8 +118,8 @@ def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
         mean = chosen.mean(axis=1, keepdims=True)
         centred = chosen - mean
         covariance = np.einsum("sij,sik->sjk", centred, centred) / (chosen.shape[1] - 1)
-        away = x[None] - mean
-        distances = np.einsum("sij,sij->si", away @ np.linalg.pinv(covariance), away)
+        deviations = x[None] - mean
+        distances = np.einsum("sij,sij->si", deviations @ np.linalg.pinv(covariance), deviations)
         picks = np.argpartition(distances, size - 1, axis=1)[:, :size]
     chosen = x[picks] - x[picks].mean(axis=1, keepdims=True)
     _, volume = np.linalg.slogdet(np.einsum("sij,sik->sjk", chosen, chosen))

@@ -192,8 +192,8 @@ def find_shared_changes(
     """
     if n_sensors < FEWEST_SENSORS:
         return ()
-    kept = (1.0 - WEIGHT) * phi
-    variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + kept) / (1.0 - kept)
+    decay = (1.0 - WEIGHT) * phi
+    variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + decay) / (1.0 - decay)
     limit = max(SHARED_SD, SHARED_SIGNIFICANCE * float(np.sqrt(variance)))
     average = averages(shared, np.zeros(shared.shape[1]))
     beyond = (np.abs(average) > limit).any(axis=1) & (np.arange(len(shared)) >= first_row)

@@ -137,8 +137,8 @@ def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
         return np.asarray(np.clip(np.ldexp(x, -exponent), -FARTHEST, FARTHEST))
 
 
-def _too_few(n: int, what: str) -> str:
-    return f"{n} {what} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
+def _too_few(n: int, subject: str) -> str:
+    return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
 def _varying_columns(baseline: FloatArray) -> np.ndarray:
@@ -221,23 +221,23 @@ def _find_anomalies(
     """Find anomalies of the baseline, or raise where the rest is negligible next to one value."""
     middle = np.quantile(measured, 0.5, axis=0, method="lower")
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        away = np.abs(measured - middle)
-        usual = np.quantile(away, CORE, axis=0)
-        times = np.nan_to_num(away.max(axis=0) / usual, nan=np.inf)
+        deviation = np.abs(measured - middle)
+        scatter = np.quantile(deviation, CORE, axis=0)
+        times = np.nan_to_num(deviation.max(axis=0) / scatter, nan=np.inf)
     at = int(times.argmax())
-    farthest = int(away[:, at].argmax())
+    farthest = int(deviation[:, at].argmax())
     lone = (
         f"{names[at]} of row {rows[farthest]} is {measured[farthest, at]:.4g}, where most of the baseline is "
-        f"within {usual[at]:.2g} of {middle[at]:.4g}: next to it the others do not scatter; correct or empty "
-        f"that cell, or leave {names[at]} out"
+        f"within {scatter[at]:.2g} of {middle[at]:.4g}: next to it the others do not scatter; correct or "
+        f"empty that cell, or leave {names[at]} out"
     )
-    if usual[at] > 0.0 and times[at] > FARTHEST:
+    if scatter[at] > 0.0 and times[at] > FARTHEST:
         raise SingularCovarianceError(lone)
     try:
         found = find_anomalies(x)
     except np.linalg.LinAlgError as error:
         alike = "in most of the baseline a feature is a combination of the others: leave one out"
-        raise SingularCovarianceError(alike if usual[at] > 0.0 else lone) from error
+        raise SingularCovarianceError(alike if scatter[at] > 0.0 else lone) from error
     return tuple(Anomaly(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
 
 

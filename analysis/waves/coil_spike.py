@@ -182,11 +182,11 @@ def survey_spike(
 def _wave(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
     """Find the start of the incident wave's front, and its height above the level before it."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
-    whole = (volts.size - earliest) // block
-    means = volts[earliest : earliest + whole * block].reshape(whole, block).mean(axis=1)
+    n_blocks = (volts.size - earliest) // block
+    means = volts[earliest : earliest + n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     # A wave rises within its front, what decays does not: compare each mean with the one before the front.
-    reach = min(round(WAVE_FRONT_S / WAVE_BLOCK_S), whole - 1)
-    steepest = int((means[reach:] - means[: whole - reach]).argmax())
+    reach = min(round(WAVE_FRONT_S / WAVE_BLOCK_S), n_blocks - 1)
+    steepest = int((means[reach:] - means[: n_blocks - reach]).argmax())
     peak = steepest + int(means[steepest : steepest + 2 * reach + 1].argmax())
     front = max(peak - reach, 0)
     return earliest + front * block, float(means[peak] - means[front])

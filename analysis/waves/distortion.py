@@ -69,8 +69,8 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
     if is_one_wall(tofs_s):
         both = table[:, :N_PSW]
         middle = _median_wave(both)
-        own = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
-        found |= _lowered(both, middle, middle**3, own, sd, LOWEST_BEND)
+        variation = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
+        found |= _lowered(both, middle, middle**3, variation, sd, LOWEST_BEND)
     return found
 
 
@@ -80,8 +80,8 @@ def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
 
 def _median_wave(points: FloatArray) -> FloatArray:
     """Return the median of the shots that hold all points; NaN without one."""
-    held = points[np.isfinite(points).all(axis=1)]
-    return column_medians(held) if len(held) else np.full(points.shape[1], np.nan)
+    complete = points[np.isfinite(points).all(axis=1)]
+    return column_medians(complete) if len(complete) else np.full(points.shape[1], np.nan)
 
 
 def _slope(wave: FloatArray) -> FloatArray:
@@ -111,19 +111,24 @@ def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _lowered(
-    points: FloatArray, middle: FloatArray, pattern: FloatArray, own: FloatArray, sd: FloatArray, least: float
+    points: FloatArray,
+    middle: FloatArray,
+    pattern: FloatArray,
+    variation: FloatArray,
+    sd: FloatArray,
+    least: float,
 ) -> NDArray[np.bool_]:
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
-    own = np.column_stack([middle, own])
-    pattern = pattern - own @ _fitted(own, pattern)
+    variation = np.column_stack([middle, variation])
+    pattern = pattern - variation @ _fitted(variation, pattern)
     lowered = -(points @ pattern) / np.linalg.norm(pattern)
     known = np.isfinite(lowered)
-    usual = median(lowered[known])
-    scatter2 = (MAD_TO_SD * median(np.abs(lowered[known] - usual))) ** 2
+    typical = median(lowered[known])
+    scatter2 = (MAD_TO_SD * median(np.abs(lowered[known] - typical))) ** 2
     own_scatter2 = max(0.0, scatter2 - MAD_OF_FEW * median(sd) ** 2)
     limit = np.sqrt((FLAT_SD * sd) ** 2 + FLAT_SCATTER**2 * own_scatter2)
-    return np.asarray(known & (lowered - usual > np.maximum(limit, least)))
+    return np.asarray(known & (lowered - typical > np.maximum(limit, least)))
 
 
 def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
@@ -141,9 +146,9 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
     middle = _median_wave(points)
     if not np.isfinite(middle).all():
         return found
-    own = np.column_stack([middle, _slope(middle)])
+    variation = np.column_stack([middle, _slope(middle)])
     left = points - middle
-    left -= (own @ _fitted(own[:ALIGNED], left[:, :ALIGNED].T)).T
+    left -= (variation @ _fitted(variation[:ALIGNED], left[:, :ALIGNED].T)).T
     left[np.isnan(left)] = 0.0
     scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):
@@ -157,8 +162,8 @@ def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: flo
     least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)
     later = place + SHIFTS[:, None]
-    held = later <= place[-1]
-    earlier = np.where(held, np.interp(later, place, middle) - middle, 0.0)
+    inside = later <= place[-1]
+    earlier = np.where(inside, np.interp(later, place, middle) - middle, 0.0)
     left2 = left**2
     gain = left[:, None] * (2.0 * earlier) - earlier**2
     # Of what lies behind each point; the point itself is a mean of before and after.
@@ -166,6 +171,6 @@ def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: flo
     best = behind.argmax(axis=-1)
     gained = np.take_along_axis(behind, best[..., None], -1)[..., 0]
     explained = gained + np.take_along_axis(left2, best + (ALIGNED - 1), 1)
-    rest = np.einsum("ij,kj->ik", left2, held.astype(np.float64))
-    rest -= noise2[:, None] * held.sum(axis=1) + explained
+    rest = np.einsum("ij,kj->ik", left2, inside.astype(np.float64))
+    rest -= noise2[:, None] * inside.sum(axis=1) + explained
     return np.asarray(((gained > least) & (rest < UNEXPLAINED * gained)).any(axis=1))

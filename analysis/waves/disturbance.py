@@ -243,13 +243,13 @@ def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest:
     least_v = NOISE_BEND_CODES * max(_smallest_step(steps), FINEST_CODE * (highest - lowest))
     noisy = (np.abs(bends[:-1]) > least_v) & (bends[:-1] * bends[1:] < 0.0)
     parts = np.array_split(noisy[~(held[:-3] | held[3:])], NOISE_PARTS)
-    usual = median(np.array([part.mean() if part.size else 0.0 for part in parts]))
-    lost = (lengths >= shortest) & (lengths * usual > FEWEST_BENDS)
+    typical = median(np.array([part.mean() if part.size else 0.0 for part in parts]))
+    lost = (lengths >= shortest) & (lengths * typical > FEWEST_BENDS)
     height_v = PLATEAU * max(highest - record.offset_v, record.offset_v - lowest)
     plateau = ((values == lowest) | (values == highest)) & (np.abs(values - record.offset_v) > height_v)
     plateau[[0, -1]] = False  # a wave comes and goes
     flags = {LOST_SAMPLES: lost & ~plateau, "clipped": lost & plateau}
-    return {flag for flag, which in flags.items() if which.any()}
+    return {flag for flag, stretches in flags.items() if stretches.any()}
 
 
 def _smallest_step(steps: FloatArray) -> float:

@@ -200,8 +200,8 @@ def shot_within(
 def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
     """Return means over blocks in which an electrical spike hardly shows, and the samples of a block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
-    whole = volts.size // block
-    return volts[: whole * block].reshape(whole, block).mean(axis=1), block
+    n_blocks = volts.size // block
+    return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
 def _crest(one: StruckTransducer, earliest_s: float) -> float:

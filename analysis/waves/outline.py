@@ -104,11 +104,11 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
         others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
     distance = np.concatenate([_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1)
     nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
-    usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
-    limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
-    apart = (nearest > limit) & (nearest < math.inf)
-    apart[PSW:] &= _is_confirmed_by_others(tofs_s, others)
-    unlike = np.asarray(apart.any(axis=0))
+    typical = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
+    limit = np.maximum(typical[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
+    is_apart = (nearest > limit) & (nearest < math.inf)
+    is_apart[PSW:] &= _is_confirmed_by_others(tofs_s, others)
+    unlike = np.asarray(is_apart.any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
         unlike[_find_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
@@ -121,9 +121,9 @@ def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> Float
     It is inf to itself, and where one of both does not hold the part.
     """
     rows = table[start : start + ROWS_AT_ONCE]
-    apart = rows[:, None] - table[others]
-    apart *= apart
-    squares = np.add.reduceat(apart, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
+    differences = rows[:, None] - table[others]
+    differences *= differences
+    squares = np.add.reduceat(differences, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
     squares[np.isnan(squares)] = math.inf
     squares[:, np.arange(start, start + len(rows))[:, None] == others] = math.inf
     return np.asarray(np.sqrt(squares), dtype=np.float64)
@@ -140,12 +140,12 @@ def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDA
 
 
 def _find_early(
-    candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
+    candidates: NDArray[np.intp], similar: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
     """Find shots whose reflected wave came earlier than those of similar shots."""
     early = []
     for index in candidates.tolist():
-        like_s = np.sort(tofs_s[others[alike[index]]])
+        like_s = np.sort(tofs_s[others[similar[index]]])
         if like_s.size < FEWEST - 1:
             continue
         middle_s, later_s = like_s[like_s.size // 2], like_s[3 * like_s.size // 4]

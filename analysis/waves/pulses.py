@@ -166,10 +166,10 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
     NaN where it has no flanks, or is no more than noise makes.
     """
     block = max(1, math.floor(1e-6 * sample_rate_hz))
-    whole = samples_v.size // block
-    if not whole:
+    n_blocks = samples_v.size // block
+    if not n_blocks:
         return math.nan
-    blocks = samples_v[: whole * block].reshape(whole, block).mean(axis=1)
+    blocks = samples_v[: n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     flanks = moving_mean(
         blocks - median(blocks[: max(1, pretrigger_samples // block)]),
         odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
@@ -406,13 +406,13 @@ def _second_reflection(
 
 def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
     """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
-    kept: list[int] = []
+    accepted: list[int] = []
     for index in _maxima(np.maximum(values, floor)):
-        if kept:
-            lowest = float(values[kept[-1] : index].min())
-            if min(values[kept[-1]], values[index]) - lowest < valley:
-                if values[index] > values[kept[-1]]:
-                    kept[-1] = index
+        if accepted:
+            lowest = float(values[accepted[-1] : index].min())
+            if min(values[accepted[-1]], values[index]) - lowest < valley:
+                if values[index] > values[accepted[-1]]:
+                    accepted[-1] = index
                 continue
-        kept.append(index)
-    return kept
+        accepted.append(index)
+    return accepted

@@ -375,9 +375,9 @@ def _remove_offset(
     step_s = block_samples / sample_rate_hz
     _check_record(samples_v.size, sample_rate_hz, pretrigger_samples, step_s, settings)
     n_blocks = samples_v.size // block_samples
-    whole = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
+    complete_blocks = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
     # einsum, not matmul: a threaded BLAS on a busy machine waits milliseconds for its threads.
-    blocks = np.einsum("ij->i", whole) / block_samples
+    blocks = np.einsum("ij->i", complete_blocks) / block_samples
 
     pretrigger_blocks = max(1, pretrigger_samples // block_samples)
     level = median(blocks[:pretrigger_blocks])

@@ -150,8 +150,10 @@ def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
 
 def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
     """Compare shots of one transducer with its template, then with one another (`outline`, `distortion`)."""
-    usual = None if template is None else template.amplitude_ratio
-    found = [compare_with_template(shot, template) for shot in flag_residual_reflections(shots, usual)]
+    typical_ratio = None if template is None else template.amplitude_ratio
+    found = [
+        compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
+    ]
     seen = {
         index: shot.outline
         for index, shot in enumerate(found)
@@ -195,8 +197,8 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
         # What the wall merges it merges in most shots.
         if "psw_merged" in found and not template.merged and later < LATEST_MERGED:
             found.add("double")
-    usual = template.amplitude_ratio
-    if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
+    typical_ratio = template.amplitude_ratio
+    if typical_ratio is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * typical_ratio:
         found.add("double")
     return shot if len(found) == len(shot.flags) else with_flags(shot, found)
 

@@ -153,24 +153,29 @@ def _calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
     """Return the calls of every requested role in the order of a shot, each with its name."""
-    made: dict[str, list[Call]] = {
+    calls_by_role: dict[str, list[Call]] = {
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }
     if (digitizer := opened.digitizer) is not None and "digitizer" in opening.serves:
-        made["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
-        made["read"].append(lambda: digitizer.read(timeout_s))
-        made["disarm"].append(digitizer.disarm)
+        calls_by_role["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
+        calls_by_role["read"].append(lambda: digitizer.read(timeout_s))
+        calls_by_role["disarm"].append(digitizer.disarm)
     if (striker := opened.striker) is not None and "striker" in opening.serves:
-        made["strike"].append(lambda: striker.strike(_key("striker", opening)))
-        made["make_safe"].append(striker.make_safe)
+        calls_by_role["strike"].append(lambda: striker.strike(_key("striker", opening)))
+        calls_by_role["make_safe"].append(striker.make_safe)
     if (pulse_echo := opened.pulse_echo) is not None and "pulse_echo" in opening.serves:
-        made["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
+        calls_by_role["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
     if (supply := opened.supply) is not None and "supply" in opening.serves:
-        made["measure"].append(lambda: supply.read(timeout_s))
-        made["make_safe"].append(supply.make_safe)
+        calls_by_role["measure"].append(lambda: supply.read(timeout_s))
+        calls_by_role["make_safe"].append(supply.make_safe)
     if (climate := opened.climate) is not None and "climate" in opening.serves:
-        made["measure"].append(lambda: climate.read(timeout_s))
-    return ((name, call) for name, calls in made.items() if name in (only or made) for call in calls)
+        calls_by_role["measure"].append(lambda: climate.read(timeout_s))
+    return (
+        (name, call)
+        for name, calls in calls_by_role.items()
+        if name in (only or calls_by_role)
+        for call in calls
+    )
 
 
 def _coils_on(bench: Bench) -> list[str]:

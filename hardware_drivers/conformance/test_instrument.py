@@ -69,10 +69,10 @@ class OnTheBench:
         """Return its opening; requests to a person go to the terminal."""
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
-        def ask(what: str) -> None:
-            if what:
+        def ask(request: str) -> None:
+            if request:
                 with capture.global_and_fixture_disabled():
-                    print(f"\n  {what}", flush=True)
+                    print(f"\n  {request}", flush=True)
 
         return Opening(clock=MachineClock(), serves=chosen.serves, ask=ask, experiment=chosen.configuration)
 

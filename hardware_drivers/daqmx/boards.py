@@ -88,15 +88,15 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     ConnectionLostError
         One of them is not there: switched off, pulled, or its number mistyped.
     """
-    there = installed(connection)
+    known = installed(connection)
     found = {}
     for serial in sorted({same_serial(text) for text in serials}):
-        if serial not in there:
+        if serial not in known:
             raise ConnectionLostError(
-                f"no board with serial number {serial}; there are: {_names(there)}; check its power, seating "
+                f"no board with serial number {serial}; there are: {_names(known)}; check its power, seating "
                 "and cable, and board_serial in [rig.daqmx.transducers]"
             )
-        found[serial] = describe(serial, there[serial])
+        found[serial] = describe(serial, known[serial])
     return found
 
 
@@ -131,8 +131,8 @@ def describe(serial: str, device: Any) -> Board:
     )
 
 
-def _names(there: Mapping[str, Any]) -> str:
-    return ", ".join(f"{serial} ({device.name})" for serial, device in there.items()) or "none"
+def _names(boards: Mapping[str, Any]) -> str:
+    return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
@@ -166,6 +166,6 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
         )
 
 
-def is_accepted(given: float, asked: float) -> bool:
+def is_accepted(given: float, requested: float) -> bool:
     """Check whether the driver took the requested value."""
-    return math.isclose(given, asked, rel_tol=RELATIVE_AGREEMENT)
+    return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

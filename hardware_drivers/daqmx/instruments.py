@@ -30,7 +30,11 @@ class Bench:
     def require_position(self, key: ShotKey, what: str) -> None:
         """Reject a position that is not wired for the requested operation."""
         wired = self.chassis.parameters.transducers
-        known = [name for name, its in wired.items() if (its.strikes if what == STRIKER else its.digitizes)]
+        known = [
+            name
+            for name, wiring in wired.items()
+            if (wiring.strikes if what == STRIKER else wiring.digitizes)
+        ]
         if key.position not in known:
             raise ConfigurationError(
                 f"no {what} at position {key.position!r}; there are: {', '.join(sorted(known))}; wire it in "

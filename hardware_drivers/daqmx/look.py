@@ -103,19 +103,19 @@ def _driver(text: str) -> Finding:
 def _finding_of_board(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
     state, remedy = finding.state, finding.remedy
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
-    kind, _, which = finding.subject.partition(" ")
-    if state == "fail" and kind == "board" and int(which, 16) not in _wanted(parameters):
+    kind, _, label = finding.subject.partition(" ")
+    if state == "fail" and kind == "board" and int(label, 16) not in _wanted(parameters):
         state = "warn"  # somebody else's board
     values: dict[str, float | str | bool | None] = {}
     detail = finding.detail
     if kind == "transducer":
         if "as asked" in detail:
-            detail = f"{detail}: {_settings_text(parameters, which, finding.check)}"
+            detail = f"{detail}: {_settings_text(parameters, label, finding.check)}"
         if finding.check == "noise":
             level_v = parameters.trigger_level_v
-            values = {"noise_rms_v": found.noise_rms_v.get(which), "trigger_level_v": level_v}
+            values = {"noise_rms_v": found.noise_rms_v.get(label), "trigger_level_v": level_v}
     if kind == "board":
-        values = _facts(next((board for board in found.boards if board.serial == which), None))
+        values = _facts(next((board for board in found.boards if board.serial == label), None))
     if owned:
         detail = f"{detail}; {remedy}"  # the owner may stand in either
     return Finding(
@@ -178,7 +178,7 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
 
 def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
     """Return warnings on boards that drive coils without a watchdog while others have one."""
-    coils = {int(its.coil_serial, 16) for its in parameters.transducers.values() if its.strikes}
+    coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return [
         Finding(
             subject=f"watchdog of board {serial:08X}",

@@ -238,8 +238,8 @@ class DaqmxParameters:
         """Reject a holdoff without the coil's counter, which starts it."""
         if self.holdoff_s is None:
             return
-        alone = [name for name, its in self.transducers.items() if its.digitizes and not its.strikes]
-        if alone or not any(its.digitizes for its in self.transducers.values()):
+        alone = [name for name, wiring in self.transducers.items() if wiring.digitizes and not wiring.strikes]
+        if alone or not any(wiring.digitizes for wiring in self.transducers.values()):
             at = alone[0] if alone else next(iter(self.transducers))
             raise ValueError(
                 f"holdoff_s is {self.holdoff_s:g} s, but transducers.{at} has no "
@@ -309,7 +309,7 @@ class DaqmxParameters:
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
                 f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
             )
-        coil_serials = {int(its.coil_serial, 16) for its in self.transducers.values() if its.strikes}
+        coil_serials = {int(wiring.coil_serial, 16) for wiring in self.transducers.values() if wiring.strikes}
         if int(watchdog.board_serial, 16) not in coil_serials:
             raise ValueError(
                 f"watchdog.board_serial is {watchdog.board_serial}; no coil is driven by that board; name "

@@ -146,13 +146,13 @@ class _BoardSurvey:
         """Survey all boards, the configured ones in detail."""
         ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
         ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
-        there = self.at_installed(connection, ours)
-        for serial in sorted(ours - set(there)):
+        boards = self.at_installed(connection, ours)
+        for serial in sorted(ours - set(boards)):
             self._add(
                 f"board {serial}",
                 "present",
                 "fail",
-                f"no board with this serial number; there are: {', '.join(there) or 'none'}",
+                f"no board with this serial number; there are: {', '.join(boards) or 'none'}",
                 "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]",
             )
         for facts in self._facts:
@@ -161,12 +161,12 @@ class _BoardSurvey:
 
     def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
         """Survey each board that the driver knows, by serial number."""
-        there: dict[str, Any] = {}
-        self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
-        for serial, device in there.items():
+        boards: dict[str, Any] = {}
+        self._checked("driver", "lists its boards", lambda: boards.update(installed(connection)))
+        for serial, device in boards.items():
             subject = f"board {serial}"
             self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
-        return there
+        return boards
 
     def _describe(self, serial: str, device: Any, ours: bool) -> str:
         board = describe(serial, device)

@@ -226,20 +226,20 @@ def translated(error: Exception, doing: str) -> InstrumentError:
 @contextmanager
 def vendor_call(doing: str) -> Iterator[None]:
     """Translate what a vendor's call raises; log the driver's warnings instead of printing them."""
-    heard: list[warnings.WarningMessage]
+    caught: list[warnings.WarningMessage]
     try:
-        with warnings.catch_warnings(record=True) as heard:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield
     except InstrumentError:
         raise
     except Exception as error:
         raise translated(error, doing) from error
-    for warning in heard:
+    for warning in caught:
         log.warning("%s: %s", doing, _one_line(str(warning.message)))
 
 
-def metadata(read: Callable[[], T], unknown: T, what: str) -> T:
+def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
     """Read optional metadata (date, temperature, version); unknown, with a warning, is enough.
 
     Raises
@@ -250,12 +250,12 @@ def metadata(read: Callable[[], T], unknown: T, what: str) -> T:
     from nidaqmx.errors import Error
 
     try:
-        with vendor_call(f"reading {what}"):
+        with vendor_call(f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, Error):
             raise
-        log.warning("%s is unknown: %s", what, error)
+        log.warning("%s is unknown: %s", subject, error)
         return unknown
 
 

@@ -225,10 +225,10 @@ def _refuse_coerced(
         "range_v": (wiring.range_v, setup.range_v),
         "input_impedance_ohm": (wiring.input_impedance_ohm, channel.input_impedance),
     }
-    for key, (asked, given) in pairs.items():
-        if not math.isclose(asked, given, rel_tol=RELATIVE_TOLERANCE):
+    for key, (requested, given) in pairs.items():
+        if not math.isclose(requested, given, rel_tol=RELATIVE_TOLERANCE):
             raise ConfigurationError(
-                f"{key} is {asked}; the {board.product} at {board.resource!r} would use {given}: ask for "
+                f"{key} is {requested}; the {board.product} at {board.resource!r} would use {given}: ask for "
                 "that or for another value that the board has"
             )
     if not 2 <= setup.resolution_bits <= 32:

@@ -142,11 +142,11 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
     InstrumentError
         One of the four classes, from the vendor's exception.
     """
-    kept = DriverWarnings()
+    driver_warnings = DriverWarnings()
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always", niscope.errors.DriverWarning)
         try:
-            yield kept
+            yield driver_warnings
         except InstrumentError:
             raise
         except (niscope.errors.Error, *_NONSENSE) as error:
@@ -154,13 +154,13 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
         finally:
             for warning in seen:
                 if issubclass(warning.category, niscope.errors.DriverWarning):
-                    kept.messages.append(str(warning.message))
+                    driver_warnings.messages.append(str(warning.message))
     for warning in seen:
         if not issubclass(warning.category, niscope.errors.DriverWarning):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, what: str) -> T:
+def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
     """Read optional metadata (date, temperature); unknown, with a warning, is enough.
 
     Raises
@@ -169,10 +169,10 @@ def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, what: str) 
         The driver says that the board is gone: that holds for every other call too.
     """
     try:
-        with vendor_calls(niscope, f"reading {what}"):
+        with vendor_calls(niscope, f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, niscope.errors.Error):
             raise
-        log.warning("%s is unknown: %s", what, error)
+        log.warning("%s is unknown: %s", subject, error)
         return unknown

@@ -34,7 +34,12 @@ class Recording(StruckDigitizer):
         """Reject a position that was not recorded by this method."""
         known = self._source.positions
         if known.get(key.position) != method:
-            names = ", ".join(sorted(name for name, its in known.items() if its == method)) or "none"
+            names = (
+                ", ".join(
+                    sorted(name for name, recorded_method in known.items() if recorded_method == method)
+                )
+                or "none"
+            )
             raise ConfigurationError(
                 f"the recording has no {method} position {key.position!r}; it has: {names}; take the "
                 "position out of the configuration, or play back another recording"

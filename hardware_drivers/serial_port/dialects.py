@@ -109,8 +109,8 @@ def _scpi(channel: int) -> Dialect:
             f"INST:NSEL {channel} as one of setup_commands"
         )
 
-    def level(word: str, unit: str) -> Level:
-        return Level(command=f"{word} ", digits=".6g", read=Number(ask=f"{word}?", unit=unit))
+    def level(mnemonic: str, unit: str) -> Level:
+        return Level(command=f"{mnemonic} ", digits=".6g", read=Number(ask=f"{mnemonic}?", unit=unit))
 
     return Dialect(
         source="SCPI-1999, volume 2, subsystems SOURce, OUTPut, MEASure and SYSTem",
@@ -184,13 +184,13 @@ def _korad(channel: int) -> Dialect:
 def _rigol(channel: int) -> Dialect:
     n, ch = channel, f"CH{channel}"
 
-    def protection(word: str, unit: str) -> Level:
+    def protection(mnemonic: str, unit: str) -> Level:
         return Level(
-            command=f":OUTP:{word}:VAL {ch},",
+            command=f":OUTP:{mnemonic}:VAL {ch},",
             digits=".3f",
-            read=Number(ask=f":OUTP:{word}:VAL? {ch}", unit=unit),
-            enable=f":OUTP:{word} {ch},ON",
-            enabled=Flag(ask=f":OUTP:{word}? {ch}"),
+            read=Number(ask=f":OUTP:{mnemonic}:VAL? {ch}", unit=unit),
+            enable=f":OUTP:{mnemonic} {ch},ON",
+            enabled=Flag(ask=f":OUTP:{mnemonic}? {ch}"),
         )
 
     return Dialect(

@@ -183,20 +183,20 @@ class SerialLine:
                 strangers.append(reply)
                 if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
                     break
-        asked = f"the instrument at {self.parameters.port}"
+        subject = f"the instrument at {self.parameters.port}"
         if strangers:
             raise ConfigurationError(
-                f"{asked} answers as {strangers[-1]!r}; expected a name that begins with "
+                f"{subject} answers as {strangers[-1]!r}; expected a name that begins with "
                 f"{self._identity.pattern!r}: connect the right instrument, or correct its identity"
             )
         garbage += [bytes(pending)] if pending else []
         if garbage:
             raise ConnectionLostError(
-                f"{asked} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
+                f"{subject} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
                 "rate, parity and terminator"
             )
         raise ConnectionLostError(
-            f"{asked} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
+            f"{subject} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
             "check that it is on, its cable and its baud rate"
         )
 
@@ -393,8 +393,8 @@ class SerialLine:
                 # A timeout of pyserial is a short read, here an empty one.
                 read = port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
             if not read and pending and not terminator:  # silence ends it
-                whole, pending[:] = bytes(pending), b""
-                return whole
+                unterminated, pending[:] = bytes(pending), b""
+                return unterminated
             if not read and self.monotonic_s() >= deadline_s:
                 return None
             pending += read

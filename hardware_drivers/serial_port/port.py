@@ -179,11 +179,11 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
 
 def serial_ports() -> dict[str, str]:
     """Return the serial ports of this computer: a permanent name and a description of each."""
-    there = {}
+    ports = {}
     for info in sorted(list_ports.comports()):
         name = f"{USB_SERIAL_PREFIX}{info.serial_number}" if info.serial_number else info.device
-        there[name] = f"{info.device}: {info.description}"
-    return there
+        ports[name] = f"{info.device}: {info.description}"
+    return ports
 
 
 def _path_of(port: str) -> str:
@@ -198,9 +198,9 @@ def _path_of(port: str) -> str:
             f"{len(paths)} ports have the USB serial number {wanted}: {', '.join(paths)}; give a path instead"
         )
     if not paths:
-        there = ", ".join(f"{info.device} ({info.serial_number})" for info in found if info.serial_number)
+        ports = ", ".join(f"{info.device} ({info.serial_number})" for info in found if info.serial_number)
         raise ConnectionLostError(
-            f"no serial port has the USB serial number {wanted}; found: {there or 'none'}; check the plug"
+            f"no serial port has the USB serial number {wanted}; found: {ports or 'none'}; check the plug"
         )
     return str(paths[0])
 
@@ -223,9 +223,9 @@ def _explain(path: str, error: Exception) -> InstrumentError:
         return ConfigurationError(
             f"{path} is no serial port, or not one for these parameters ({reason}); correct them"
         )
-    there = ", ".join(info.device for info in list_ports.comports())
+    ports = ", ".join(info.device for info in list_ports.comports())
     return ConnectionLostError(
-        f"{path} cannot be opened ({reason}); ports there: {there or 'none'}; check plug and port"
+        f"{path} cannot be opened ({reason}); ports there: {ports or 'none'}; check plug and port"
     )
 
 

@@ -39,9 +39,9 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     @property
     def protection_unknown(self) -> str:
         """Return the reason why a trip may stay unreported; empty where the supply reports trips."""
-        if not (asked := self._protections()):
+        if not (protections := self._protections()):
             return f"dialect {self._parameters.dialect} asks no protection whether it has tripped"
-        unknown = ", ".join(flag.ask for flag in asked if flag.ask in self._undefined)
+        unknown = ", ".join(flag.ask for flag in protections if flag.ask in self._undefined)
         return f"the supply does not know {unknown}" if unknown else ""
 
     def read(self, timeout_s: float) -> SupplyReading:

@@ -53,8 +53,8 @@ def _vector(lanes: Lanes) -> ir.VectorType:
 
 
 def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
-    made: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
-    return made
+    intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
+    return intrinsic
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
@@ -210,10 +210,10 @@ def _operator(symbol: Any, method: str) -> None:
 
     templates.infer_global(symbol)(_Template)
 
-    def lowered(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    def lowered(context: Any, builder: Any, intrinsic: Any, values: Any) -> Any:
         wide = [
-            value if isinstance(one, Lanes) else _splat(builder, value, made.return_type)
-            for one, value in zip(made.args, values, strict=True)
+            value if isinstance(one, Lanes) else _splat(builder, value, intrinsic.return_type)
+            for one, value in zip(intrinsic.args, values, strict=True)
         ]
         return getattr(builder, method)(*wide)
 

@@ -66,12 +66,13 @@ class PlateModes:
         """
         flexibility = (self.participation / self.omega_rad_per_s) ** 2
         seen = flexibility > UNSEEN_FRACTION * flexibility.sum()
-        kept = seen & (self.omega_rad_per_s <= omega_rad_per_s)
-        kept &= np.cumsum(self.participation**2) <= yielding_per_kg
+        is_strong = seen & (self.omega_rad_per_s <= omega_rad_per_s)
+        is_strong &= np.cumsum(self.participation**2) <= yielding_per_kg
         return PlateModes(
-            omega_rad_per_s=self.omega_rad_per_s[kept],
-            participation=self.participation[kept],
-            residual_compliance_m_per_n=self.residual_compliance_m_per_n + float(flexibility[~kept].sum()),
+            omega_rad_per_s=self.omega_rad_per_s[is_strong],
+            participation=self.participation[is_strong],
+            residual_compliance_m_per_n=self.residual_compliance_m_per_n
+            + float(flexibility[~is_strong].sum()),
         )
 
 
@@ -132,5 +133,5 @@ def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) 
         start += len(columns)
     mixing = linalg.block_diag(*alike)
     strength, directions = linalg.eigh(mixing.T @ gram @ mixing, check_finite=False)
-    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
-    return np.asarray(mixing @ (directions[:, kept] / np.sqrt(strength[kept])))
+    is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
+    return np.asarray(mixing @ (directions[:, is_strong] / np.sqrt(strength[is_strong])))

@@ -686,8 +686,8 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
     interval
         The energy balance is drawn up every so many steps and at the end.
     """
-    made: Callable[..., None] = _compiled(_time_loop(width, linear))
-    return made
+    time_loop: Callable[..., None] = _compiled(_time_loop(width, linear))
+    return time_loop
 
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:

@@ -442,15 +442,15 @@ class ShotModel:
         if modulus != 1.0:
             every_mode = every_mode.of_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
-        made = Propagator(
+        propagator = Propagator(
             bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:
-            self._prepared[key] = made
+            self._prepared[key] = propagator
             if len(self._prepared) > DEPTHS_KEPT:
                 self._prepared.popitem(last=False)
-        return made
+        return propagator
 
 
 def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:

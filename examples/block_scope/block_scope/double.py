@@ -116,11 +116,11 @@ class ScopeDouble:
             self._handle, self._running, self._taken = 0, None, None
         return status
 
-    def bs_get_unit_info(self, handle: int, text: Any, length: int, what: int) -> int:
+    def bs_get_unit_info(self, handle: int, text: Any, length: int, subject: int) -> int:
         """Write a text about the unit."""
         status = self._status(handle)
         if status is Status.OK:
-            text_bytes = INFO[what].encode("ascii")[: length - 1] + b"\0"
+            text_bytes = INFO[subject].encode("ascii")[: length - 1] + b"\0"
             ctypes.memmove(text, text_bytes, len(text_bytes))
         return status
 
@@ -225,7 +225,7 @@ def as_library(scope: ScopeDouble) -> SimpleNamespace:
         # Looked up at each call: a test may come between.
         return prototype(lambda *given: getattr(scope, name)(*given))  # noqa: PLW0108
 
-    return SimpleNamespace(**{name: function(name, its) for name, its in api.PROTOTYPES.items()})
+    return SimpleNamespace(**{name: function(name, arguments) for name, arguments in api.PROTOTYPES.items()})
 
 
 @contextmanager

@@ -77,10 +77,10 @@ class Unit:
             if status != Status.OK:
                 log.warning("closing the oscilloscope: status %#x", status)
 
-    def info(self, what: int) -> str:
+    def info(self, subject: int) -> str:
         """Query a text about the unit."""
         text = create_string_buffer(80)
-        self._call("bs_get_unit_info", text, len(text), what)
+        self._call("bs_get_unit_info", text, len(text), subject)
         return text.value.decode("ascii", errors="replace").strip() or "unknown"
 
     def timebase(self, sample_rate_hz: float) -> int:
@@ -150,7 +150,7 @@ class Unit:
             raise ConnectionLostError("the oscilloscope is not open; it is opened anew for the next shot")
         self._check(function, getattr(self._library, function)(self._handle, *arguments))
 
-    def _check(self, what: str, code: int) -> None:
+    def _check(self, subject: str, code: int) -> None:
         if code == Status.OK:
             return
         known = code in list(Status)
@@ -158,4 +158,4 @@ class Unit:
         if kind is ConnectionLostError:
             self.close()
         status_text = Status(code).name if known else f"status {code:#x}"
-        raise kind(f"oscilloscope {self._serial or '(any)'}: {what} says {status_text}; {remedy}")
+        raise kind(f"oscilloscope {self._serial or '(any)'}: {subject} says {status_text}; {remedy}")

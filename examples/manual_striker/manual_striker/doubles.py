@@ -32,10 +32,10 @@ class RelayBoardDouble:
         match = re.fullmatch(r"relay (on|off|read) (\d+)", line)
         if match is None:
             return "unknown command"
-        word, number = match[1], int(match[2])
-        if word == "read":
+        verb, number = match[1], int(match[2])
+        if verb == "read":
             return "on" if number in self._on else "off"
-        self._set(number, word == "on")
+        self._set(number, verb == "on")
         return ""
 
     def fail(self, name: str) -> None:

@@ -105,8 +105,8 @@ class RelayBoard:
             raise ConnectionLostError(
                 f"no whole answer to {command!r} within {self._timeout_s:g} s, only {answer!r}; {CABLE}"
             )
-        words = answer[: -len(PROMPT)].decode("ascii", errors="replace").strip()
-        return words.removeprefix(command).strip()
+        response = answer[: -len(PROMPT)].decode("ascii", errors="replace").strip()
+        return response.removeprefix(command).strip()
 
 
 class RelayStriker:

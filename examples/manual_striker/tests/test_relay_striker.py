@@ -48,9 +48,9 @@ def slept(board, monkeypatch):
 
 
 def test_a_strike_sends_these_commands(slept, sent):
-    with KIND.open(PARAMETERS, OPENING) as its:
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         sent.clear()
-        its.striker.strike(KEY)
+        instruments.striker.strike(KEY)
         assert sent == ["relay on 1", "relay read 1", "relay off 1", "relay read 1"]
     assert slept == [0.1]
 
@@ -67,14 +67,14 @@ def test_an_interrupt_in_the_pulse_leaves_the_coil_off(slept, board, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr(relay.time, "sleep", interrupted)
-    with KIND.open(PARAMETERS, OPENING) as its:
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         with pytest.raises(KeyboardInterrupt):
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
         assert board.switchings == [("C", True), ("C", False)]
 
 
 def test_a_lost_answer_to_on_still_ends_in_off(slept, board, monkeypatch):
-    with KIND.open(PARAMETERS, OPENING) as its:
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         real = board.answer
 
         def loses_one(line):
@@ -83,26 +83,26 @@ def test_a_lost_answer_to_on_still_ends_in_off(slept, board, monkeypatch):
 
         monkeypatch.setattr(board, "answer", loses_one)
         with pytest.raises(ConnectionLostError, match="no whole answer to 'relay on 1'"):
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
     assert board.switchings == [("C", True), ("C", False)]
 
 
 def test_the_error_names_the_plug_to_pull_when_a_relay_stays_on(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match=r"relay 1 may be on .* pull the coils' plug"):
-        with KIND.open(PARAMETERS, OPENING) as its:
+        with KIND.open(PARAMETERS, OPENING) as instruments:
             monkeypatch.setattr(board, "answer", lambda line: "" if "off" in line else real(line))
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
 
 
 def test_the_other_relays_go_off_when_one_does_not_answer(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match="relay 0 may be on"):
-        with KIND.open(PARAMETERS, OPENING) as its:
+        with KIND.open(PARAMETERS, OPENING) as instruments:
             for line in ("relay on 0", "relay on 1"):
                 board.answer(line)
             monkeypatch.setattr(board, "answer", lambda line: "" if line.endswith("0") else real(line))
-            its.striker.make_safe()
+            instruments.striker.make_safe()
     assert board.switchings == [("B", True), ("C", True), ("C", False)]
 
 
@@ -142,6 +142,6 @@ def test_the_same_over_a_real_port(board, tmp_path):
     with SerialLink(tmp_path / "relays", answer, framing):
         (finding,) = KIND.check(parameters, OPENING)
         assert finding.detail == "firmware 00000008"
-        with KIND.open(parameters, OPENING) as its:
-            its.striker.strike(KEY)
+        with KIND.open(parameters, OPENING) as instruments:
+            instruments.striker.strike(KEY)
     assert board.switchings == [("C", True), ("C", False)]

@@ -209,9 +209,9 @@ class NiscopeBrain:
         self._require_present(session)
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
-        asked = session.fetch[FETCH_RECORDS]
+        requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
-        records = left if asked < 0 else min(asked, left)
+        records = left if requested < 0 else min(requested, left)
         return {"num_wfms": records * len(channels_of(session, arguments))}
 
     def _fetch(self, session: Session, arguments: Arguments) -> Answer:

@@ -122,10 +122,10 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
         There is no such order.
     """
     supply = instruments.supply
-    which = order.get("instrument", "supply")
-    if which not in {"supply", "climate"}:
-        raise SimulatorError(f"no instrument {which!r}; there are supply and climate")
-    link = instruments.supply_link if which == "supply" else instruments.climate_link
+    name = order.get("instrument", "supply")
+    if name not in {"supply", "climate"}:
+        raise SimulatorError(f"no instrument {name!r}; there are supply and climate")
+    link = instruments.supply_link if name == "supply" else instruments.climate_link
     match order.get("do"):
         case "unplug":
             link.unplug()
@@ -139,7 +139,7 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
             except TypeError as error:
                 raise SimulatorError(f"{order} names an unknown fault: {error}") from error
         case "identity":
-            model: Supply | ClimateProbe = supply if which == "supply" else instruments.climate
+            model: Supply | ClimateProbe = supply if name == "supply" else instruments.climate
             link.do(lambda: setattr(model, "identity", str(order["name"])))
         case "brown_out":
             instruments.brown_out()

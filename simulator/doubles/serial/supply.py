@@ -192,12 +192,12 @@ class Supply:
             self._set[header] = value
         return None
 
-    def _protect(self, what: str, value: float) -> str | None:
+    def _protect(self, quantity: str, value: float) -> str | None:
         """Set the level of a protection, at or above the setpoint."""
-        if value < self._set[what]:
+        if value < self._set[quantity]:
             return CONFLICT
         if self.obeys_set_commands:
-            self._protection[what] = value
+            self._protection[quantity] = value
         return None
 
     def _measured(self) -> tuple[float, float]:

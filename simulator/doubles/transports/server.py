@@ -66,13 +66,13 @@ class _Connection(socketserver.BaseRequestHandler):
             hello = wire.receive_frame(connection)
             if hello is None or len(hello) != wire.HELLO.size:
                 return
-            process, asked = wire.HELLO.unpack(hello)
-            number, client = self.server.join(asked, process)
+            process, requested_number = wire.HELLO.unpack(hello)
+            number, client = self.server.join(requested_number, process)
             connection.sendall(struct.pack("<Q", number))
             try:
                 self._serve(connection, client)
             finally:
-                if asked != number:
+                if requested_number != number:
                     # The process's first connection lives as long as the process.
                     self.server.leave(number)
         except (ConnectionError, wire.WireError) as error:

@@ -119,5 +119,5 @@ def rejected_property(
 
     ``requested``, ``minimum`` and ``maximum``, in NI's words.
     """
-    value_lines = [f"{word.title()} Value: {value}" for word, value in values.items()]
+    value_lines = [f"{label.title()} Value: {value}" for label, value in values.items()]
     return Status(code, "\n".join([f"Property: {name}", *value_lines, *filter(None, [detail])]), task=task)

@@ -59,16 +59,16 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
 
 def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
     """Return whether two outlines have more than their edges in common."""
-    apart = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
+    distances = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
     reach = [a + b for a, b in zip(one.half_sizes_m, other.half_sizes_m, strict=True)]
     slack = TOUCHING * min(reach)
-    if apart[0] >= reach[0] - slack or apart[1] >= reach[1] - slack:
+    if distances[0] >= reach[0] - slack or distances[1] >= reach[1] - slack:
         return False
     if one.shape == other.shape == "round":
-        return math.hypot(*apart) < reach[0] - slack
+        return math.hypot(*distances) < reach[0] - slack
     if "round" in (one.shape, other.shape):
         disk, box = (one, other) if one.shape == "round" else (other, one)
-        gap = [max(d - half, 0.0) for d, half in zip(apart, box.half_sizes_m, strict=True)]
+        gap = [max(d - half, 0.0) for d, half in zip(distances, box.half_sizes_m, strict=True)]
         return math.hypot(*gap) < 0.5 * disk.size_m - slack
     return True
 

@@ -228,8 +228,8 @@ def assemble(
     scale = 2.0 ** sum(symmetric)
 
     def matrix(elements: _Elements) -> sparse.csc_matrix:
-        which, matrices = elements
-        index = number[dof[which]]
+        order, matrices = elements
+        index = number[dof[order]]
         rows = np.broadcast_to(index[:, :, None], matrices.shape)
         columns = np.broadcast_to(index[:, None, :], matrices.shape)
         held = (rows >= 0) & (columns >= 0) & (matrices != 0.0)
@@ -275,15 +275,15 @@ def _element_coefficients(
         # The first coefficient has entries for every element, so that it alone has the whole pattern.
         there = (linear[j, 0] != 0.0) | (cubic[j, 0] != 0.0) | (j == 0)
         even = np.flatnonzero(~is_uneven & there)
-        which = np.concatenate((even, uneven))
+        order = np.concatenate((even, uneven))
         in_thickness, in_cube = linear[j, 0, even, None, None], cubic[j, 0, even, None, None]
         if np.array_equal(in_thickness, in_cube):  # one product less, rounded once
             stiff = in_cube * (bending[even] + shear[even])
         else:
             stiff = in_cube * bending[even] + in_thickness * shear[even]
         inert = in_thickness * translation[even] + in_cube * rotation[even]
-        stiffness.append((which, np.concatenate((stiff, varied[0][j]))))
-        mass.append((which, np.concatenate((inert, varied[1][j]))))
+        stiffness.append((order, np.concatenate((stiff, varied[0][j]))))
+        mass.append((order, np.concatenate((inert, varied[1][j]))))
     return stiffness, mass
 
 

@@ -106,8 +106,8 @@ def solid_family(
     built = build_solid_plate(plate, _at(corrosion, 0.5))
     fields = np.hstack(spaces)
     strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
-    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
-    basis = fields @ (directions[:, kept] / np.sqrt(strength[kept]))
+    is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
+    basis = fields @ (directions[:, is_strong] / np.sqrt(strength[is_strong]))
     places = chebyshev.chebpts1(RESIDUAL_NODES)
     deepest = math.log(1.0 - DEEPEST_PATCH_FRACTION)
     residuals = []

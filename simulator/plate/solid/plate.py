@@ -278,11 +278,11 @@ def assembled_solid(
         lagrange(q, 2.0 * z_m[:upper_nodes] / z_m[upper_nodes - 1] - 1.0)[0],
         lagrange(q, 2.0 * z_m / z_m[-1] - 1.0)[0],
     )
-    there = _existing_nodes(x, y, len(z_m), upper_nodes, inside)
+    existing = _existing_nodes(x, y, len(z_m), upper_nodes, inside)
     for kind in (1, 2):
-        there[kinds == kind] = np.arange(len(z_m)) < q + 1
-    held = _fixed_displacements(plate.support if support is None else support, there.shape, symmetry)
-    numbers = _numbered(there[..., None] & ~held, symmetry)
+        existing[kinds == kind] = np.arange(len(z_m)) < q + 1
+    fixed = _fixed_displacements(plate.support if support is None else support, existing.shape, symmetry)
+    numbers = _numbered(existing[..., None] & ~fixed, symmetry)
     lift = _lift_matrix(numbers, kinds, shapes)
     weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
     force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
@@ -331,28 +331,28 @@ def _existing_nodes(
     x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
 ) -> NDArray[np.bool_]:
     """Return which nodes belong to an element, shape (nodes of x, of y, of z)."""
-    there = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
-    there[:, :, :upper_nodes] = True
+    existing = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
+    existing[:, :, :upper_nodes] = True
     for ex, ey in np.argwhere(inside < 1.0):
-        there[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = True
-    return there
+        existing[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = True
+    return existing
 
 
 def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
     """Return which displacements the supports and the symmetry planes fix."""
-    held = np.zeros((*shape, COMPONENTS), dtype=bool)
+    fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
-    held[-1, :, :, 0] = clamped
-    held[-1, :, :, 1:] = True
-    held[:, -1, :, 1] |= clamped
-    held[:, -1, :, ::2] = True
+    fixed[-1, :, :, 0] = clamped
+    fixed[-1, :, :, 1:] = True
+    fixed[:, -1, :, 1] |= clamped
+    fixed[:, -1, :, ::2] = True
     if symmetry == "none":
-        held[0] |= held[-1]
-        held[:, 0] |= held[:, -1]
+        fixed[0] |= fixed[-1]
+        fixed[:, 0] |= fixed[:, -1]
     else:
-        held[0, :, :, 0] = True
-        held[:, 0, :, 1] = True
-    return held
+        fixed[0, :, :, 0] = True
+        fixed[:, 0, :, 1] = True
+    return fixed
 
 
 def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
