@@ -1,1 +1,1 @@
-"""From shot to verdict. What enters: pure functions of arrays and numbers; no I/O, clock or output."""
+"""Analysis from shot to assessment: pure functions of arrays and numbers; no I/O, clock or output."""

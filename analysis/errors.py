@@ -1,4 +1,4 @@
-"""Errors of the analysis.
+"""Errors that the analysis raises.
 
 ::
 
@@ -19,32 +19,32 @@ from __future__ import annotations
 
 
 class AnalysisError(Exception):
-    """Anything the analysis refuses to do."""
+    """Base class of all errors of the analysis."""
 
 
 class InvalidInputError(AnalysisError, ValueError):
-    """The input breaks a documented condition."""
+    """Error: the input breaks a documented condition."""
 
 
 class RecordError(InvalidInputError):
-    """The record cannot hold what is looked for, whatever was measured."""
+    """Error: the record is too short for the wanted feature, independent of its content."""
 
 
 class NotEnoughDataError(AnalysisError):
-    """The result would not be trustworthy yet."""
+    """Error: too little data for a trustworthy result."""
 
 
 class NotEnoughSetsError(NotEnoughDataError):
-    """Too few sets for a baseline."""
+    """Error: too few sets for a baseline."""
 
 
 class NotEnoughPointsError(NotEnoughDataError):
-    """Too few points for a trend."""
+    """Error: too few points for a trend."""
 
 
 class SingularCovarianceError(AnalysisError):
-    """The baseline's covariance has no usable inverse."""
+    """Error: the baseline's covariance has no usable inverse."""
 
 
 class EchoNotFoundError(AnalysisError):
-    """No back-wall echo stands out where it is expected."""
+    """Error: no back-wall echo stands out where it is expected."""

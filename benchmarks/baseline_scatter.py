@@ -1,4 +1,4 @@
-"""How much healthy sets scatter, what the hole looks like, and what a simulated shot costs.
+"""Scatter of healthy sets, record of a hole, and cost of a simulated shot.
 
 Run ``python benchmarks/baseline_scatter.py [--sets N] [--seed S]``. A set is the mean of ten shots;
 each standard deviation is printed with its sampling error, SD / sqrt(2 (sets - 1)). The incident

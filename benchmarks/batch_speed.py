@@ -1,4 +1,4 @@
-"""Shots a second, alone and side by side; what they grow with; how far they are from the arithmetic limit.
+"""Shots per second, alone and side by side; their scaling, and the distance to the arithmetic limit.
 
     python benchmarks/batch_speed.py [--json]
 
@@ -49,13 +49,13 @@ def cpu_seconds(work: Callable[[], object]) -> float:
 
 
 def impacts(count: int) -> list[Impact]:
-    """Heights and tilts as they scatter."""
+    """Return drop heights and tilts as they scatter."""
     return [Impact(drop_height_m=4e-3 + 2e-5 * k, tilt_rad=0.01 + 1e-4 * k) for k in range(count)]
 
 
 @numba.njit(error_model="numpy")  # type: ignore[misc]
 def multiply_and_add(turns: int) -> float:
-    """Sixteen independent chains of fused multiply-adds: enough to hide their latency."""
+    """Run sixteen independent chains of fused multiply-adds: enough to hide their latency."""
     a = b = c = d = e = f = g = h = broadcast(1.0, WIDEST)
     i = j = k = m = n = o = p = q = broadcast(2.0, WIDEST)
     x, y = broadcast(0.999, WIDEST), broadcast(1e-3, WIDEST)
@@ -79,8 +79,8 @@ def flops_per_shot(bodies: int, modes: int, steps: int) -> float:
 
 
 def modes_of(model: ShotModel) -> int:
-    """Modes in the bank of the pristine depth, blocks filled up with zeros included."""
-    (propagator,) = [made for (depth, *_), made in model._prepared.items() if depth == 0.0]
+    """Return the modes in the bank of the pristine depth, zeros of full blocks included."""
+    (propagator,) = [entry for (depth, *_), entry in model._prepared.items() if depth == 0.0]
     return propagator.bank.size // 16
 
 
@@ -124,7 +124,7 @@ def throughput(step_s: float) -> dict[str, float]:
 
 
 def growth() -> list[dict[str, float]]:
-    """Time of a single shot and of one in a batch for more bodies, no modes, a longer record."""
+    """Measure the time of a single shot and of one in a batch for more bodies, no modes, a longer record."""
     paper = ChainParameters()
     wall = PlateParameters(model="rigid_wall")
     cases = [

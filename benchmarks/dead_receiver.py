@@ -1,4 +1,4 @@
-"""REST beside receivers of notifications that are dead: they must slow nothing.
+"""REST latency next to unresponsive notification receivers, which must slow nothing.
 
 Three services run side by side, each in a process of its own on a test of its own, and are asked in turn:
 one without receivers, one whose receivers accept connections and never answer, one whose receivers refuse
@@ -38,15 +38,15 @@ ALARM_EVERY = 50
 SECRET = "DEAD_RECEIVER_SECRET"
 
 
-class Dead:
-    """Accepts every connection, reads what comes, and never answers."""
+class DeadReceiver:
+    """Receiver that accepts every connection, reads everything, and never answers."""
 
     def __init__(self) -> None:
         self.connections: list[asyncio.Task[Any] | None] = []
         self.reached = asyncio.Event()
 
     async def hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Take one connection until its client gives up."""
+        """Hold one connection until its client gives up."""
         self.connections.append(asyncio.current_task())
         self.reached.set()
         while await reader.read(65536):
@@ -54,32 +54,32 @@ class Dead:
         writer.close()
 
 
-def refused_port() -> int:
-    """Find a port at which nobody listens."""
+def find_unused_port() -> int:
+    """Return a port at which no server listens."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
-def notifying(port: int | None, receivers: int) -> dict[str, Any]:
-    """Make the table of notifications; each alarm is told at once."""
+def notification_table(port: int | None, receivers: int) -> dict[str, Any]:
+    """Return the table of notifications; each alarm is sent at once."""
     if port is None:
         return {}
     one = {"url": f"http://127.0.0.1:{port}/hook", "secret_env": SECRET}
     return {"receivers": {f"r{n}": one for n in range(receivers)}, "rules": [{"group_s": 0.0}]}
 
 
-async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
-    """Everything that `main` prints."""
-    dead = Dead()
+async def measure(base: Path, receivers: int, requests: int) -> dict[str, Any]:
+    """Return everything that `main` prints."""
+    dead = DeadReceiver()
     server = await asyncio.start_server(dead.hear, "127.0.0.1", 0)
-    ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": refused_port()}
+    ports = {"none": None, "dead": server.sockets[0].getsockname()[1], "refusing": find_unused_port()}
     with ExitStack() as stack:
         services: dict[str, Service] = {}
         folders: list[FilledFolder] = []
         for way, port in ports.items():
-            tables = notifying(port, receivers)
-            folder = FilledFolder(_made(base / way), Settings(notifications=tables))
+            tables = notification_table(port, receivers)
+            folder = FilledFolder(_create_folder(base / way), Settings(notifications=tables))
             stack.callback(folder.close)
             for index in range(SETS):
                 folder.add_set(index, stored=False)
@@ -89,7 +89,7 @@ async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
         _raise_alarms(folders, 0)
         async with asyncio.timeout(60.0):
             await dead.reached.wait()
-        times_s, used_s = await _asked_in_turn(services, opened, folders, requests)
+        times_s, used_s = await _request_in_turn(services, opened, folders, requests)
         attempts = {"none": 0, "dead": len(dead.connections), "refusing": await _failures(opened["refusing"])}
         for _, writer in opened.values():
             writer.close()
@@ -112,10 +112,10 @@ async def measured(base: Path, receivers: int, requests: int) -> dict[str, Any]:
     }
 
 
-async def _asked_in_turn(
+async def _request_in_turn(
     services: dict[str, Service], opened: dict[str, Connected], folders: list[FilledFolder], requests: int
 ) -> tuple[dict[tuple[str, str], list[float]], dict[str, float]]:
-    """Time of each request by way and path, and processor time of each service meanwhile."""
+    """Return the time of each request by way and path, and the processor time of each service meanwhile."""
     times_s: dict[tuple[str, str], list[float]] = {(way, name): [] for way in services for name in PATHS}
     before_s = {way: one.use()["cpu_s"] for way, one in services.items()}
     for number in range(requests):
@@ -126,7 +126,7 @@ async def _asked_in_turn(
     return times_s, {way: one.use()["cpu_s"] - before_s[way] for way, one in services.items()}
 
 
-def _made(folder: Path) -> Path:
+def _create_folder(folder: Path) -> Path:
     folder.mkdir()
     return folder
 
@@ -142,7 +142,7 @@ def _ratios(times_s: dict[tuple[str, str], list[float]], name: str, share: float
 
 
 async def _failures(connected: Connected) -> int:
-    """Count the failed attempts that a service tells of."""
+    """Count the failed attempts that a service reports."""
     reader, writer = connected
     writer.write(b"GET /api/v1/notifications HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
     content = (await reader.read()).partition(b"\r\n\r\n")[2]
@@ -150,7 +150,7 @@ async def _failures(connected: Connected) -> int:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -160,12 +160,12 @@ def main() -> None:
     options = parser.parse_args()
     os.environ[SECRET] = "sixteen or more characters"
     with tempfile.TemporaryDirectory() as name:
-        found = asyncio.run(measured(Path(name), options.receivers, options.requests))
+        found = asyncio.run(measure(Path(name), options.receivers, options.requests))
     if options.json:
         print(json.dumps(found))
         return
-    for part, told in found.items():
-        for name, values in told.items() if isinstance(told, dict) else [("", told)]:
+    for part, times in found.items():
+        for name, values in times.items() if isinstance(times, dict) else [("", times)]:
             print(f"{part:<12}{name:<12}{values}")
 
 

@@ -1,4 +1,4 @@
-"""Cost of the demonstration by stage, fsync included, beside the obvious line.
+"""Cost of the demonstration by stage, fsync included, next to the obvious line.
 
     python benchmarks/demo_speed.py [--hours H] [--rounds R] [--cold] [--json]
 
@@ -84,7 +84,7 @@ def one_thread_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Itera
 
 @contextmanager
 def compression_by_hdf5() -> Iterator[None]:
-    """Let HDF5 filter the chunks itself."""
+    """Make HDF5 filter the chunks itself."""
 
     def written_by_hdf5(dataset: Any, array: Any, chunk: Any) -> None:
         del chunk
@@ -119,24 +119,24 @@ def run_recorder(hours: float, kind: str) -> dict[str, Any]:
 
 
 def run_in_a_process(kind: str, hours: float) -> dict[str, Any]:
-    """One run in a new process, so that none inherits the other's memory."""
-    told = subprocess.run(
+    """Run once in a new process, so that none inherits another's memory."""
+    completed = subprocess.run(
         [sys.executable, __file__, "--hours", str(hours), "--one", kind],
         capture_output=True,
         text=True,
         check=True,
     )
-    result: dict[str, Any] = json.loads(told.stdout)
+    result: dict[str, Any] = json.loads(completed.stdout)
     return result
 
 
 def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
-    """Run ``solimon demo`` as a person would, from an empty folder, and if `cold` with empty caches."""
+    """Run ``solimon demo`` like a user, from an empty folder, and if `cold` with empty caches."""
     with tempfile.TemporaryDirectory() as folder:
         caches = {name: str(Path(folder) / place) for name, place in CACHES.items()} if cold else {}
         started, before = time.perf_counter(), os.times()
         command = [sys.executable, "-m", "daq_service.cli", "demo", "--exit", "--no-web", "--json"]
-        told = subprocess.run(
+        completed = subprocess.run(
             [*command, "--hours", str(hours), "--data-dir", str(Path(folder) / "data")],
             capture_output=True,
             text=True,
@@ -144,14 +144,14 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
             env=os.environ | caches,
         )
         wall_s, after = time.perf_counter() - started, os.times()
-    result = json.loads(told.stdout)
+    result = json.loads(completed.stdout)
     # Zero on Windows, which does not add up children.
     processor_s = sum(after[2:4]) - sum(before[2:4])
     return {"wall_s": wall_s, "processor_s": processor_s, "shots": result["shots"], **result["cost"]}
 
 
 def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, float]]:
-    """Alternate the three runs; the mean of each number over the rounds."""
+    """Alternate the three runs; return the mean of each number over the rounds."""
     runs: dict[str, list[dict[str, Any]]] = {kind: [] for kind in (COMMAND, *ONE_PROCESS)}
     for _ in range(rounds):
         runs[COMMAND].append(run_command(hours, cold=cold))
@@ -164,7 +164,7 @@ def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, flo
 
 
 def show(found: dict[str, dict[str, float]]) -> None:
-    """Print a column a run."""
+    """Print one column per run."""
     print(f"{'':24s}" + "".join(f"{kind:>14s}" for kind in found))
     for name in ("sets", "shots"):
         print(f"{name:24s}" + "".join(f"{run[name]:14.0f}" for run in found.values()))

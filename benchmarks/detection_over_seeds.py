@@ -1,4 +1,4 @@
-"""How soon and how wrongly the demo's experiment alarms, over many seeds.
+"""Detection delay and false alarms of the demo's test over many seeds.
 
 Runs the twin, the extraction and the assessors of the recorder (no storage: rows are dropped) for
 each seed, at several scales of the scatter, and prints per run the hour of the first alarm and the
@@ -33,8 +33,8 @@ import numpy as np
 
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.baseline import fit_baseline
-from analysis.statistics.chart import designed, with_memory
-from analysis.statistics.design import next_alarming
+from analysis.statistics.chart import chart_with_phi, design_chart
+from analysis.statistics.design import next_alarm
 from analysis.statistics.directions import directions_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
@@ -53,7 +53,7 @@ COVERAGE = 0.995
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One position, seed and scatter."""
+    """Run of one position, seed and scatter."""
 
     position: str
     seed: int
@@ -66,12 +66,12 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What the run showed."""
+    """Result of a run."""
 
     run: Run
     first_alarm_h: float | None
     depth_at_alarm: float | None
-    judged: int
+    assessed_rows: int
     outliers: int
     outliers_paper: int
     n_baseline: int
@@ -90,7 +90,7 @@ def settings_of(run: Run) -> Settings:
     return load_settings(None, overrides={"twin": twin, "schedule": {"end_h": run.hours}})
 
 
-def carry_out(run: Run) -> Outcome:
+def assess_run(run: Run) -> Outcome:
     settings = settings_of(run)
     specimen = specimen_of(settings)
     assessments: dict[int, Any] = {}
@@ -111,19 +111,19 @@ def carry_out(run: Run) -> Outcome:
         if first_alarm_h is None and found.raised & {"wall_change", "hole"}:
             first_alarm_h = found.due.due_h
             depth_at_alarm = specimen.walls[run.position].at(found.hour_h).depth_fraction
-    judged = [row for row in assessments.values() if row.outlier is not None]
+    assessed_rows = [row for row in assessments.values() if row.outlier is not None]
     rule, states = AlarmRule(k=settings.alarms.k, n=settings.alarms.n), [AlarmState()]
-    for row in judged:
+    for row in assessed_rows:
         states.append(next_alarm_state(states[-1], row.outlier, rule))
     standing = {
-        "chart": [bool(row.chart_alarm) for row in judged],
+        "chart": [bool(row.chart_alarm) for row in assessed_rows],
         "k_of_n": [state.active for state in states[1:]],
-        "alarm": [raised[row.set_index] for row in judged],
-        "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in judged],
+        "alarm": [raised[row.set_index] for row in assessed_rows],
+        "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in assessed_rows],
     }
     if run.why:
-        standing |= otherwise(
-            vectors, [i for i, row in assessments.items() if row.in_baseline], judged, settings
+        standing |= alarms_of_other_designs(
+            vectors, [i for i, row in assessments.items() if row.in_baseline], assessed_rows, settings
         )
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))
@@ -131,38 +131,41 @@ def carry_out(run: Run) -> Outcome:
         run=run,
         first_alarm_h=first_alarm_h,
         depth_at_alarm=depth_at_alarm,
-        judged=len(judged),
-        outliers=sum(row.outlier is True for row in judged),
-        outliers_paper=sum(row.outlier_paper is True for row in judged),
+        assessed_rows=len(assessed_rows),
+        outliers=sum(row.outlier is True for row in assessed_rows),
+        outliers_paper=sum(row.outlier_paper is True for row in assessed_rows),
         n_baseline=n_baseline,
         sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
-        raised_h={name: onsets(judged, stands) for name, stands in standing.items()},
+        raised_h={name: onsets(assessed_rows, stands) for name, stands in standing.items()},
     )
 
 
-def otherwise(
-    vectors: Mapping[int, Sequence[float]], baseline: Sequence[int], judged: Sequence[Any], settings: Settings
+def alarms_of_other_designs(
+    vectors: Mapping[int, Sequence[float]],
+    baseline: Sequence[int],
+    assessed_rows: Sequence[Any],
+    settings: Settings,
 ) -> dict[str, list[bool]]:
-    """Tell after each judged set which alarm would stand by charts, and by k of n, designed otherwise."""
+    """Return the alarm after each set under other designs of charts and k-of-n rules."""
     begins, n = min(baseline), max(baseline) - min(baseline) + 1
-    sets = np.full((judged[-1].set_index - begins + 1, len(FEATURE_NAMES)), np.nan)
+    sets = np.full((assessed_rows[-1].set_index - begins + 1, len(FEATURE_NAMES)), np.nan)
     for index, vector in vectors.items():
-        if begins <= index <= judged[-1].set_index:
+        if begins <= index <= assessed_rows[-1].set_index:
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
     budget = run_length(settings)
-    found, designs = directions_of(history), designed(history, budget)
+    found, designs = directions_of(history), design_chart(history, budget)
     charts = {
-        "chart, memory as found": with_memory(history, found.matrix, found.guarded, designs.limit),
-        "chart, no memory": with_memory(history, found.matrix, 0.0 * found.phi, designs.limit),
+        "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),
+        "chart, no memory": chart_with_phi(history, found.matrix, 0.0 * found.phi, designs.limit),
         "chart, limit of a known baseline": replace(designs, limit=known_limit(p, budget)),
     }
-    rows = [row.set_index - begins for row in judged]
+    rows = [row.set_index - begins for row in assessed_rows]
     standing: dict[str, list[bool]] = {}
     for name, chart in charts.items():
         alarming, standing[name] = False, []
         for value in mewma(chart.whitened(sets)[n:])[np.array(rows) - n].tolist():
-            alarming = next_alarming(alarming, value, chart.limit, p)
+            alarming = next_alarm(alarming, value, chart.limit, p)
             standing[name].append(alarming)
     along = (sets - designs.mean) @ designs.directions
     for name, phi in (
@@ -179,16 +182,16 @@ def otherwise(
     return standing
 
 
-def onsets(judged: Sequence[Any], stands: Sequence[bool]) -> list[float]:
+def onsets(assessed_rows: Sequence[Any], stands: Sequence[bool]) -> list[float]:
     return [
         row.due_h
-        for row, before, now in zip(judged, [False, *stands], stands, strict=False)
+        for row, before, now in zip(assessed_rows, [False, *stands], stands, strict=False)
         if now and not before
     ]
 
 
 def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tuple[int, int, float]:
-    """Central interval and mean of the pooled outlier count of healthy, independent, normal sets."""
+    """Return central interval and mean of the pooled outlier count of healthy, independent, normal sets."""
     random = np.random.default_rng(20240101)
     p = len(FEATURE_NAMES)
     totals = np.zeros(draws, dtype=np.int64)
@@ -198,7 +201,7 @@ def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tupl
             baseline = fit_baseline(
                 random.standard_normal((outcome.n_baseline, p)), range(outcome.n_baseline), name="simulated"
             )
-            sets = random.standard_normal((outcome.judged, p))
+            sets = random.standard_normal((outcome.assessed_rows, p))
             totals[draw] += int(np.count_nonzero(distance_squared(sets, baseline) > limit))
     low, high = np.quantile(totals, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], method="nearest")
     return int(low), int(high), float(totals.mean())
@@ -220,7 +223,7 @@ def all_runs(
 
 
 def by_rule(outcomes: Sequence[Outcome]) -> list[str]:
-    """Lines of all rules on the same records: first alarm, and how often it was raised."""
+    """Return the lines of all rules on the same records: first alarm, and how often it was raised."""
     lines = []
     for position in "BCD":
         runs = [one for one in outcomes if one.run.position == position and one.run.drift]
@@ -246,7 +249,7 @@ def describe(outcome: Outcome) -> str:
     depth = "" if outcome.depth_at_alarm is None else f", mean depth {100 * outcome.depth_at_alarm:4.1f} %"
     return (
         f"{run.position} seed {run.seed:2d} scatter x{run.scale:g} drift {'on ' if run.drift else 'off'}  "
-        f"{alarm}{depth}; outliers {outcome.outliers} of {outcome.judged} "
+        f"{alarm}{depth}; outliers {outcome.outliers} of {outcome.assessed_rows} "
         f"(paper's limit: {outcome.outliers_paper})"
     )
 
@@ -277,7 +280,7 @@ def main() -> int:
         runs = [run for run in runs if not run.drift]
     outcomes = []
     with ProcessPoolExecutor(max_workers=options.jobs) as pool:
-        for outcome in pool.map(carry_out, runs):
+        for outcome in pool.map(assess_run, runs):
             outcomes.append(outcome)
             print(describe(outcome), file=sys.stderr, flush=True)
     quiet = [outcome for outcome in outcomes if not outcome.run.drift]
@@ -300,7 +303,7 @@ def main() -> int:
     else:
         if quiet:
             print(
-                f"D, drift off: {pooled} outliers in {sum(o.judged for o in quiet)} sets; "
+                f"D, drift off: {pooled} outliers in {sum(o.assessed_rows for o in quiet)} sets; "
                 f"expected {mean:.1f}, central 99.5 %: {low}..{high}"
             )
         print("\n".join(by_rule(outcomes)))

@@ -1,4 +1,4 @@
-"""Is it the wall? How often verdicts are right, on models whose slopes they never saw.
+"""Accuracy of the wall diagnosis on models whose slopes were not used in the design.
 
     python benchmarks/diagnoses.py                                   some minutes on one core
     python benchmarks/diagnoses.py --runs 1000 --only healthy        the number of runs behind a bound of 1 %
@@ -33,7 +33,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from cause_slopes import MEAN_TILT_RAD, slopes, walls
 
-from analysis.diagnosis.diagnose import diagnosis_of, remembering
+from analysis.diagnosis.diagnose import diagnosis_of, state_with_diagnosis
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import diagnosis_parameters
 from analysis.diagnosis.slopes import COMPONENTS, DEPTHS
@@ -72,8 +72,8 @@ DEPTH_AT_END = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
-    """A model as slopes: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
+class ModelSlopes:
+    """Slopes of a model: rows A and gamma of each contact, drop height, gain, tilt; shape (21, 7)."""
 
     of_place: FloatArray
     of_plate_modulus: FloatArray
@@ -81,7 +81,7 @@ class Judged:
 
 
 @lru_cache(maxsize=8)
-def judged(name: str) -> Judged:
+def model_slopes(name: str) -> ModelSlopes:
     chain, plate = MODELS[name]
     found = slopes(chain, plate, PATCH_M)
     n = chain.bodies
@@ -90,12 +90,12 @@ def judged(name: str) -> Judged:
     rows = [found[f"stiffness_{k}"] for k in range(n)] + [found[f"damping_{k}"] for k in range(n)]
     rows += [found["drop_height"], gain, found["tilt_rad"]]
     wall = np.vstack([np.zeros(len(COMPONENTS)), walls(chain, plate, PATCH_M)])
-    return Judged(of_place=np.array(rows), of_plate_modulus=found["plate_modulus"], wall=wall)
+    return ModelSlopes(of_place=np.array(rows), of_plate_modulus=found["plate_modulus"], wall=wall)
 
 
 @lru_cache(maxsize=1)
 def electronic_sd() -> FloatArray:
-    """SD that noise of the records leaves in the logarithms of a set's means, from real records."""
+    """Return the SD that record noise leaves in the logarithms of a set's means, from real records."""
     twin = {"scatter": {"scale": 0.0}, "drift": {"enabled": False}}
     settings = load_settings(None, overrides={"twin": twin, "schedule": {"end_h": 12.0}})
     rows = [one.position_result.features[-1] for one in assessed_sets(settings, "D")]
@@ -105,7 +105,7 @@ def electronic_sd() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What goes wrong: full sizes by source, at once or evenly over `ramp` sets from `onset` on."""
+    """Change to diagnose: full sizes by source, at once or evenly over `ramp` sets from `onset` on."""
 
     name: str
     sizes: tuple[tuple[str, float], ...] = ()
@@ -114,7 +114,7 @@ class Case:
     depth: float = 0.0
 
     def part(self, index: int) -> float:
-        """Part of the full size at a set."""
+        """Return the fraction of the full size at a set."""
         if index < self.onset:
             return 0.0
         return 1.0 if self.ramp == 0 else min(1.0, (index - self.onset) / self.ramp)
@@ -133,8 +133,8 @@ SENSOR_FAULTS = (
 WARMER = Case(name="temperature", sizes=(("kelvin", 15.0),), ramp=48)
 
 
-def place_of(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[FloatArray, float]:
-    """Give what a case adds to the sources, shape (2 n + 3,), and to the temperature in K."""
+def source_values(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[FloatArray, float]:
+    """Return a case's addition to the sources, shape (2 n + 3,), and to the temperature in K."""
     place, warmer_k = np.zeros(2 * n + 3), 0.0
     rows = {"drop_height": 2 * n, "gain": 2 * n + 1, "tilt_rad": 2 * n + 2}
     for source, size in case.sizes:
@@ -159,15 +159,15 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
 
 
 def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Logarithms of each set and of a confirmation set struck then, shape (n, 7), and the wall's depth."""
-    chain, found, random = MODELS[model][0], judged(model), np.random.default_rng(seed)
+    """Return logarithms of each set and a confirmation set, shape (n, 7), and the wall's depth."""
+    chain, found, random = MODELS[model][0], model_slopes(model), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
     weather: Climate = climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
     room, reseat = temperature(drift, seed=seed), reseat_of(level, random, n)
     places, seats = [], []
     for index in range(BASELINE + AFTER):
         hour_h = float(index)
-        place, fault_k = place_of(case, case.part(index), reseat, n)
+        place, fault_k = source_values(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
         seat = seat_of_set(
             level, seed, "B", chain, weather, set_index=index, hour_h=hour_h, warmer_k=warmer_k
@@ -195,9 +195,11 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     return struck[0], struck[1], depth
 
 
-def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE) -> dict[str, Any]:
-    """Judge one run by the last sets before `BASELINE`; depths are None where it was never called so."""
-    logs, beside, depths = sets_of(case, level, model, seed)
+def diagnose_run(
+    case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE
+) -> dict[str, Any]:
+    """Diagnose one run with the last sets before `BASELINE`; depths are None where it was never WALL."""
+    logs, confirmation_logs, depths = sets_of(case, level, model, seed)
     design = diagnosis_parameters(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
@@ -211,15 +213,15 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
     for index in range(BASELINE, BASELINE + AFTER):
         memory = with_set(memory, design.mean, logs[index], index)
         state = next_alarm_state(state, bool(beyond[index]), RULE)
-        told = diagnosis_of(memory, design, suspicious=state.active)
-        memory = remembering(memory, told)
-        if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
+        diagnosis = diagnosis_of(memory, design, suspicious=state.active)
+        memory = state_with_diagnosis(memory, diagnosis)
+        if diagnosis.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
-            memory = with_confirmation(memory, design.mean, beside[index])
-            told = diagnosis_of(memory, design, suspicious=True)
-            memory = remembering(memory, told)
-        calls[told.cause] += 1
-        for name, seen in (("wall", told.cause == WALL), ("f", state.active)):
+            memory = with_confirmation(memory, design.mean, confirmation_logs[index])
+            diagnosis = diagnosis_of(memory, design, suspicious=True)
+            memory = state_with_diagnosis(memory, diagnosis)
+        calls[diagnosis.cause] += 1
+        for name, seen in (("wall", diagnosis.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
                 first[name] = float(depths[index])
     return {
@@ -228,7 +230,7 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
         "model": model,
         "seed": seed,
         "called": dict(calls),
-        "last": told.cause,
+        "last": diagnosis.cause,
         "first_wall_depth": first["wall"],
         "first_f_depth": first["f"],
         "f_alarmed": first["f"] is not None,
@@ -237,7 +239,7 @@ def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASE
 
 
 def limits_alarmed_at(distance: FloatArray, depths: FloatArray) -> list[tuple[float, float]]:
-    """Depth, and the greatest limit that 3 of 5 sets have been beyond by then, wherever that has grown.
+    """Return depth, and the largest limit that 3 of 5 sets have exceeded by then, wherever that has grown.
 
     Until the fifth set 3 of those that are there: a k of n begins with an empty window.
     """
@@ -250,19 +252,19 @@ def limits_alarmed_at(distance: FloatArray, depths: FloatArray) -> list[tuple[fl
 def depth_by_f_held_to(
     rate: float, healthy: Sequence[dict[str, Any]], sick: Sequence[dict[str, Any]]
 ) -> float:
-    """Median depth at which F, 3 of 5, alarms by a limit that this part of the healthy runs goes beyond."""
+    """Return the median depth of the F alarm, 3 of 5, at a limit with this healthy rate."""
     limit = np.quantile([row["f_limits"][-1][1] for row in healthy], 1.0 - rate)
     first = [next((depth for depth, seen in row["f_limits"] if seen > limit), math.inf) for row in sick]
     return float(np.median(first))
 
 
 def median_depth(rows: Sequence[dict[str, Any]], name: str) -> float:
-    """Median over the runs; one that was never called counts as deeper than any."""
+    """Return the median over the runs; a run without a diagnosis counts as deeper than any."""
     return float(np.median([math.inf if row[name] is None else row[name] for row in rows]))
 
 
 def percent(found: Sequence[bool]) -> float:
-    """Share in percent."""
+    """Return the share in percent."""
     return 100.0 * float(np.mean(found))
 
 
@@ -276,17 +278,17 @@ def show(rows: Sequence[dict[str, Any]]) -> None:
             other = percent([bool(OTHERS & row["called"].keys()) for row in own])
             by_f = percent([row["f_alarmed"] for row in own])
             ends = Counter(row["last"] for row in own).most_common()
-            told = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
+            text = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
             shares = f"{called:8.1f}{other:8.1f}{by_f:7.1f}"
-            print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {told}")
+            print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {text}")
             if case == CORROSION.name:
                 first, f_first = median_depth(own, "first_wall_depth"), median_depth(own, "first_f_depth")
                 print(f"{'':11s}median depth at the first WALL {first:.3f}, by F, 3 of 5 {f_first:.3f}")
                 healthy = [row for row in rows if row["level"] == level and row["case"] == HEALTHY.name]
                 if healthy:
                     held = depth_by_f_held_to(HEALTHY_RATE, healthy, own)
-                    told = f"at a limit that {100 * HEALTHY_RATE:g} % of the healthy runs here go beyond"
-                    print(f"{'':11s}by 3 of 5 {told}: {held:.3f}")
+                    text = f"at a limit that {100 * HEALTHY_RATE:g} % of the healthy runs here go beyond"
+                    print(f"{'':11s}by 3 of 5 {text}: {held:.3f}")
 
 
 OTHERS = {SENSOR, COUPLING, ENVIRONMENT}
@@ -306,7 +308,7 @@ def main() -> None:
     options = parser.parse_args()
     models = options.models.split(",")
     for model in models:
-        judged(model)
+        model_slopes(model)
     electronic_sd()
     todo = [
         (CASES[case], level, models[k % len(models)], options.first_seed + k, options.baseline_sets)
@@ -315,7 +317,7 @@ def main() -> None:
         for k in range(options.runs)
     ]
     with ProcessPoolExecutor(options.workers) as executor:
-        rows = list(executor.map(run, *zip(*todo, strict=True), chunksize=4))
+        rows = list(executor.map(diagnose_run, *zip(*todo, strict=True), chunksize=4))
     if options.json:
         print(json.dumps({"mean_tilt_rad": MEAN_TILT_RAD, "runs": rows}))
     else:

@@ -1,4 +1,4 @@
-"""How shallow a wall anybody can name: an oracle's median depth beside that of `assessments.py`.
+"""Lower bound of the detectable wall loss: an oracle's median depth next to that of `diagnoses.py`.
 
     python benchmarks/diagnosis_bound.py            a minute on one core
     python benchmarks/diagnosis_bound.py --json
@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import scipy
-from assessments import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, judged
+from diagnoses import AFTER, BASELINE, CORROSION, MODELS, SHOTS, electronic_sd, model_slopes
 
 from analysis.diagnosis.slopes import DEPTHS
 from simulator.experiment.seating import _sources
@@ -42,8 +42,8 @@ SETS = BASELINE + AFTER
 
 
 def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Of set, wander, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
-    found, sources, scatter = judged(model), _sources(level, MODELS[model][0]), ScatterParameters()
+    """Return covariances of set, drift, shots and re-seats in a set's seven logarithms, each shape (7, 7)."""
+    found, sources, scatter = model_slopes(model), _sources(level, MODELS[model][0]), ScatterParameters()
     to_features = found.of_place.T @ sources.effect
 
     def of(sd: FloatArray) -> FloatArray:
@@ -60,7 +60,7 @@ def covariances(level: str, model: str) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def whitening(level: str, model: str) -> tuple[FloatArray, FloatArray]:
-    """Give what makes the logarithms of all sets independent, shape (7 n, 7 n), and a root of re-seats'."""
+    """Return the whitening of all sets' logarithms, shape (7 n, 7 n), and a root of re-seats'."""
     sizes = NUISANCE[level]
     of_set, of_wander, alone, of_reseat = covariances(level, model)
     apart = np.arange(SETS)
@@ -77,21 +77,24 @@ def whitening(level: str, model: str) -> tuple[FloatArray, FloatArray]:
 
 
 def growths(model: str, onsets: FloatArray) -> FloatArray:
-    """Change of all logarithms by corrosion that begins so many sets after the baseline, shape (7 n, k)."""
+    """Return the change of all logarithms by corrosion from so many sets after the baseline.
+
+    Shape (7 n, k).
+    """
     since = np.arange(SETS)[:, None] - BASELINE - onsets
     depths = np.minimum(CORROSION.depth * np.clip(since / AFTER, 0.0, None), DEPTHS[-1])
-    curve = judged(model).wall
+    curve = model_slopes(model).wall
     change = np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
     return change.reshape(-1, onsets.size)
 
 
 def up_to_each(values: FloatArray) -> FloatArray:
-    """Sum what all sets up to each one after the baseline tell, shape (7 n, ...) to (AFTER, ...)."""
+    """Sum over the sets up to each one after the baseline, shape (7 n, ...) to (AFTER, ...)."""
     return np.asarray(values.reshape(SETS, -1, *values.shape[1:]).sum(axis=1).cumsum(axis=0)[BASELINE:])
 
 
 def log_ratios(grown: FloatArray, seen: FloatArray, places: FloatArray | None) -> FloatArray:
-    """Log likelihood of each growth over that of health after each set, shape (AFTER, k, runs).
+    """Return the log likelihood of each growth over that of health after each set, shape (AFTER, k, runs).
 
     Parameters
     ----------
@@ -101,24 +104,26 @@ def log_ratios(grown: FloatArray, seen: FloatArray, places: FloatArray | None) -
         What the re-seats add, unknown numbers of variance 1 times these columns, shape (7 n, m).
     """
     squared = up_to_each(grown**2)
-    told = np.stack([up_to_each(grown * one[:, None]) for one in seen.T], axis=2)
+    log_likelihood_ratios = np.stack([up_to_each(grown * one[:, None]) for one in seen.T], axis=2)
     if places is not None:  # the inverse of identity + places places^T, by Woodbury
         inner = np.linalg.inv(np.eye(places.shape[1]) + up_to_each(places[:, :, None] * places[:, None]))
         of_grown = up_to_each(places[:, :, None] * grown[:, None])
         through = inner @ of_grown
         squared = squared - (of_grown * through).sum(axis=1)
-        told = told - through.transpose(0, 2, 1) @ up_to_each(places[:, :, None] * seen[:, None])
-    return np.asarray(told - 0.5 * squared[:, :, None])
+        log_likelihood_ratios = log_likelihood_ratios - through.transpose(0, 2, 1) @ up_to_each(
+            places[:, :, None] * seen[:, None]
+        )
+    return np.asarray(log_likelihood_ratios - 0.5 * squared[:, :, None])
 
 
 def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
-    """Depths at which it names walls that corrode from the first set after the baseline on."""
+    """Return the depths at which the oracle detects walls that corrode from the end of the baseline."""
     random, (white, root) = np.random.default_rng(0), whitening(level, model)
     onsets = {
         "onset known": np.zeros(1),
         "onset unknown": np.arange(0.0, LATEST_ONSET, STEP),
     }
-    grown = {name: white @ growths(model, its) for name, its in onsets.items()}
+    grown = {name: white @ growths(model, growth_of_onset) for name, growth_of_onset in onsets.items()}
     found: dict[str, list[float]] = {name: [] for name in onsets}
     for _ in range(HISTORIES):
         reseats = random.poisson(NUISANCE[level].reseats_per_1000_h * SETS / 1_000.0)
@@ -132,8 +137,10 @@ def depths_of_oracle(level: str, model: str) -> dict[str, list[float]]:
             ]
             places = np.hstack(columns)
             seen = seen + places @ random.standard_normal((places.shape[1], RUNS))
-        for name, its in grown.items():
-            ratio = scipy.special.logsumexp(log_ratios(its, seen, places), axis=1) - np.log(its.shape[1])
+        for name, growth_of_onset in grown.items():
+            ratio = scipy.special.logsumexp(log_ratios(growth_of_onset, seen, places), axis=1) - np.log(
+                growth_of_onset.shape[1]
+            )
             passed = ratio > -np.log(FALSE_RATE)
             first = np.where(passed.any(axis=0), passed.argmax(axis=0), AFTER)
             found[name] += (CORROSION.depth * first / AFTER).tolist()
@@ -161,8 +168,8 @@ def main() -> None:
     print(f"median depth at which an oracle names the wall, {100 * FALSE_RATE:g} % of healthy runs called so")
     for level, by_name in medians.items():
         for name, by_model in by_name.items():
-            told = "  ".join(f"{model} {depth:.3f}" for model, depth in by_model.items())
-            print(f"{level:11s}{name:15s}{told}")
+            log_likelihood_ratios = "  ".join(f"{model} {depth:.3f}" for model, depth in by_model.items())
+            print(f"{level:11s}{name:15s}{log_likelihood_ratios}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What each cause does to the features of a set: the origin of `analysis.diagnosis.slopes`.
+"""Slopes of a set's features for each cause: the source of `analysis.diagnosis.slopes`.
 
     python benchmarks/diagnosis_slopes.py            prints the tables of `analysis.diagnosis.slopes`
     python benchmarks/diagnosis_slopes.py --json
@@ -41,7 +41,7 @@ MEAN_TILT_RAD = ScatterParameters().mean_tilt_rad
 
 
 def logs_of(force: ShotForce, gain_v_per_n: float) -> FloatArray:
-    """Logarithms of the features of a noise-free record, in the order of `COMPONENTS`."""
+    """Return logarithms of the features of a noise-free record, in the order of `COMPONENTS`."""
     calibration = adc_calibration(ADC)
     step_s = float(force.time_s[-1]) / (force.time_s.size - 1)
     grid_s = np.arange(force.time_s.size) * step_s
@@ -63,13 +63,13 @@ def logs_of(force: ShotForce, gain_v_per_n: float) -> FloatArray:
 
 
 def gain_at(tilt_rad: float) -> float:
-    """Sensitivity of a disk that leans so far, as `experiment.scatter` has it."""
+    """Return the sensitivity of a tilted disk, as in `experiment.scatter`."""
     sensor = SensorParameters()
     return sensor.sensitivity_v_per_n * math.exp(-sensor.tilt_loss_per_rad * tilt_rad)
 
 
 def slopes(chain: ChainParameters, plate: PlateParameters, size_m: float = 25.4e-3) -> dict[str, FloatArray]:
-    """Change of the logarithms by each source, shape (7,): one unit of ln, a kelvin, a radian."""
+    """Return the change of the logarithms by each source, shape (7,): one unit of ln, a kelvin, a radian."""
     model, n = ShotModel(chain, plate, CorrosionParameters(size_m=size_m)), chain.bodies
 
     def at(
@@ -108,7 +108,7 @@ def slopes(chain: ChainParameters, plate: PlateParameters, size_m: float = 25.4e
 
 
 def walls(chain: ChainParameters, plate: PlateParameters, size_m: float) -> FloatArray:
-    """Change of the logarithms at each of `DEPTHS`, shape (len(DEPTHS), 7)."""
+    """Return the change of the logarithms at each of `DEPTHS`, shape (len(DEPTHS), 7)."""
     model = ShotModel(chain, plate, CorrosionParameters(size_m=size_m))
     depths = [0.0, *DEPTHS]
     shots = model.shots([Impact(depth_fraction=depth, tilt_rad=MEAN_TILT_RAD) for depth in depths])
@@ -124,8 +124,8 @@ def main() -> None:
     of_sources = slopes(chain, plate)
     of_walls = {name: walls(chain, plate, size_m) for name, size_m in PATCHES_M.items()}
     if options.json:
-        told = {name: row.tolist() for name, row in of_sources.items()}
-        print(json.dumps({"slopes": told, "walls": {k: v.tolist() for k, v in of_walls.items()}}))
+        source_slopes = {name: row.tolist() for name, row in of_sources.items()}
+        print(json.dumps({"slopes": source_slopes, "walls": {k: v.tolist() for k, v in of_walls.items()}}))
         return
     for name, row in of_sources.items():
         print(f"{name!r:>16}: (" + ", ".join(f"{value:.4g}" for value in row) + "),")

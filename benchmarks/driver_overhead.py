@@ -1,4 +1,4 @@
-"""What the NI-DAQmx driver adds to a shot, beside the bare `nidaqmx` calls in the same run.
+"""Overhead of the NI-DAQmx driver per shot, next to the bare `nidaqmx` calls in the same run.
 
     python benchmarks/driver_overhead.py [--transport library|grpc] [--shots N] [--json]
 
@@ -65,7 +65,7 @@ def parameters(**transport: Any) -> DaqmxParameters:
 
 
 def own_time_s(wired: DaqmxParameters) -> float:
-    """Delay, pulse, fall, way to the sensor and the record after its trigger."""
+    """Return the time of delay, pulse, fall, path to the sensor and the record after its trigger."""
     model = ShotModel(CHAIN, PLATE, CorrosionParameters())
     adc = replace(TWIN.adc, record_samples=wired.record_samples)
     specimen = build_specimen(
@@ -82,8 +82,8 @@ def own_time_s(wired: DaqmxParameters) -> float:
     return wired.initial_delay_s + wired.pulse_s + fall_s + acquired.truth["trigger_time_s"] + after_s
 
 
-class Bare:
-    """The calls a person would write, by the same transport."""
+class BareCalls:
+    """Minimal calls of a hand-written program, by the same transport."""
 
     def __init__(self, wired: DaqmxParameters) -> None:
         self._wired = wired
@@ -138,7 +138,7 @@ class Bare:
 
     @contextmanager
     def committed_once(self) -> Iterator[Callable[[], None]]:
-        """Tasks for all shots of a turn."""
+        """Return a shot with tasks for all shots of a turn."""
         acquisition, coil, reader = self.tasks()
         try:
             yield lambda: self.shot(acquisition, coil, reader)
@@ -148,7 +148,7 @@ class Bare:
 
     @contextmanager
     def task_a_shot(self) -> Iterator[Callable[[], None]]:
-        """Tasks of its own for every shot."""
+        """Return a shot with tasks of its own."""
 
         def shot() -> None:
             with self.committed_once() as once:
@@ -171,7 +171,7 @@ def through_the_driver(wired: DaqmxParameters) -> Iterator[Callable[[], None]]:
 
 
 def measure(wired: DaqmxParameters, shots: int) -> dict[str, float]:
-    bare = Bare(wired)
+    bare = BareCalls(wired)
     ways: dict[str, Callable[[], Any]] = {
         "bare_s": bare.committed_once,
         "driver_s": lambda: through_the_driver(wired),

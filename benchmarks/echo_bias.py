@@ -1,4 +1,4 @@
-"""What the ultrasonic reading of the twin's walls is wrong by, and how much of it its interval holds.
+"""Bias of the ultrasonic reading of the twin's walls, and the coverage of its interval.
 
 Run ``python benchmarks/echo_bias.py [--walls N]``. Every wall is drawn anew, thinned, recorded with the
 default noise and read by correlation with the sound wall's echo and equation 17. Prints smooth walls, the
@@ -51,7 +51,7 @@ ROUGH_THICKNESSES_MM = (5.7, 5.0, 4.2, 3.8)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One record of one wall; thicknesses in metres, NaN where the reader gave no number."""
+    """Reading of one wall; thicknesses in metres, NaN where there is no result."""
 
     true_m: float
     roughness_rms_m: float
@@ -62,12 +62,12 @@ class Reading:
 
     @property
     def error_m(self) -> float:
-        """Too thick is positive."""
+        """Return the error, positive if too thick."""
         return self.read_m - self.true_m
 
     @property
     def held(self) -> bool:
-        """Whether the interval holds the mean thickness under the beam."""
+        """Return whether the interval holds the mean thickness under the beam."""
         return self.low_m <= self.true_m <= self.high_m
 
 
@@ -81,8 +81,8 @@ def waveform_of(volts: NDArray[np.float64], echo: EchoParameters) -> Waveform:
     )
 
 
-def recorded(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
-    """Averaged record of a wall with noise and bubbles."""
+def record_wall(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
+    """Return the averaged record of a wall with noise and bubbles."""
     key = ShotKey(position="A", set_index=seed, shot_index=0)
     found, _ = disturbance(echo, seed=seed, key=key)
     volts, _ = averaged_record(wall, echo, echo_calibration(echo), found, seed=seed, key=key, noisy=True)
@@ -90,7 +90,7 @@ def recorded(wall: ProbedWall, echo: EchoParameters, seed: int) -> Waveform:
 
 
 def sound_wall(echo: EchoParameters) -> EchoReference:
-    """Take the reference without noise, so that one draw of it does not shift every reading."""
+    """Return the reference without noise, so that one draw of it does not shift every reading."""
     return reference_echo(
         waveform_of(echo_volts(PRISTINE_M, echo), echo),
         delay_s=echo.delay_s,
@@ -106,12 +106,12 @@ def readings(
     known_separation_m: float = 0.0,
     first_seed: int = 0,
 ) -> Iterator[Reading]:
-    """Read walls of one mean thickness, each rough in its own way."""
+    """Return readings of walls of one mean thickness, each rough in its own way."""
     reference = sound_wall(echo)
     for seed in range(first_seed, first_seed + walls):
         spot = rough_spot(echo, seed=seed, position="A")
         wall = probed_wall(PRISTINE_M, 1.0 - thickness_m / PRISTINE_M, spot, 0.0)
-        found = travel_time(recorded(wall, echo, seed), reference)
+        found = travel_time(record_wall(wall, echo, seed), reference)
         read = thickness(
             found.travel_time_s, reference.travel_time_s, echo.delay_s, PRISTINE_M, known_separation_m
         )
@@ -127,7 +127,7 @@ def readings(
 
 
 def pick_bound_m(echo: EchoParameters, thickness_m: float) -> float:
-    """Cramer-Rao bound of the thickness: a pulse of known shape in the mean's white noise."""
+    """Return the Cramer-Rao bound of the thickness: a pulse of known shape in the mean's white noise."""
     alone = replace(echo, multiple_ratio=0.0, front_wall_v=0.0)
     slope = np.gradient(echo_volts(thickness_m, alone)) * echo.sample_rate_hz
     noise_v = echo.noise_rms_v / math.sqrt(echo.averages)
@@ -215,7 +215,7 @@ def print_paper(walls: int) -> None:
 
 
 def print_demo() -> None:
-    """Print the default experiment, one wall of one seed: what `solimon demo` shows at position A."""
+    """Print the default test, one wall of one seed: what `solimon demo` shows at position A."""
     twin = TwinParameters()
     specimen = build_specimen(twin, transducers={}, probed_thickness_m={"A": PRISTINE_M})
     key = ShotKey(position="A", set_index=0, shot_index=0)

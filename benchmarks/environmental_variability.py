@@ -1,4 +1,4 @@
-"""Shares of sets beyond the limits at each level of nuisance, beside the paper's 80, 92 and 8 %.
+"""Shares of sets above the limits at each level of variability, next to the paper's 80, 92 and 8 %.
 
     python benchmarks/environmental_variability.py        three seeds a level, some minutes on one core
     python benchmarks/environmental_variability.py --seeds 1 --levels laboratory --hours 150
@@ -30,19 +30,19 @@ AFTER_H = 100.0
 
 
 def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
-    """Judge one transducer; shares in percent, None where no set was judged."""
+    """Assess one transducer; shares in percent, None where no set was assessed."""
     settings = load_settings(
         None, overrides={"twin": {"seed": seed, "nuisance": level}, "schedule": {"end_h": hours}}
     )
     assessments, baseline, first_alarm_h, strikes = {}, [], None, 0
-    for judged in assessed_sets(settings, position):
-        assessments |= {row.set_index: row for row in judged.position_result.assessments}
-        strikes += len(judged.shots)
-        if judged.due.due_h <= settings.baseline.hours:
-            row = judged.position_result.features[-1]
+    for assessed in assessed_sets(settings, position):
+        assessments |= {row.set_index: row for row in assessed.position_result.assessments}
+        strikes += len(assessed.shots)
+        if assessed.due.due_h <= settings.baseline.hours:
+            row = assessed.position_result.features[-1]
             baseline.append([getattr(row, name) for name in FEATURE_NAMES])
-        if first_alarm_h is None and judged.raised & {"wall_change", "hole"}:
-            first_alarm_h = judged.due.due_h
+        if first_alarm_h is None and assessed.raised & {"wall_change", "hole"}:
+            first_alarm_h = assessed.due.due_h
     after_h = settings.baseline.hours if position == "D" else AFTER_H
     late = [row for row in assessments.values() if row.due_h > after_h and row.outlier is not None]
     table = np.array(baseline, dtype=np.float64)
@@ -61,7 +61,7 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
 
 
 def mean_of(rows: Sequence[dict[str, Any]], name: str) -> float:
-    """Mean over the seeds that have it; NaN where none has."""
+    """Return the mean over the seeds that have it; NaN where none has."""
     known = [row[name] for row in rows if row[name] is not None]
     return float(np.mean(known)) if known else float("nan")
 

@@ -1,4 +1,4 @@
-"""The web service under load: small answers, many streams, many that come back at once, frozen readers.
+"""Web service under load: small answers, many streams, many simultaneous reconnections, frozen readers.
 
 A process of its own serves a new data folder; this one writes events through the catalogue and reads with
 plain sockets, so the load shares the cores with the service. The last part records on the twin in real time,
@@ -89,13 +89,13 @@ STRUCK_S, SHOTS, SHOT_INTERVAL_S = 60, 7, 0.05
 
 @dataclass(frozen=True)
 class Service:
-    """A service in a process of its own."""
+    """Service in a process of its own."""
 
     process: subprocess.Popen[str]
     port: int
 
     def use(self) -> dict[str, float]:
-        """Processor time and memory so far."""
+        """Return processor time and memory so far."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write("\n")
@@ -118,28 +118,28 @@ def service(
 
 
 def wall_s(stamp: str) -> float:
-    """RFC 3339 with nanoseconds to Unix time."""
+    """Convert RFC 3339 with nanoseconds to Unix time."""
     head, _, fraction = stamp.rstrip("Z").partition(".")
     return datetime.fromisoformat(head + "+00:00").timestamp() + float(f"0.{fraction or 0}")
 
 
 def percentile(values: list[float], share: float) -> float:
-    """Value below which this share lies."""
+    """Return the value below which this share lies."""
     return sorted(values)[int(share * (len(values) - 1))]
 
 
 Connected = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-async def ask(port: int, path: str, **options: Any) -> Connected:
-    """Send a request and leave the answer to be read."""
+async def send_request(port: int, path: str, **options: Any) -> Connected:
+    """Send a request and leave the response unread."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, **options)
     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
     return reader, writer
 
 
 async def answer_s(connected: Connected, path: str) -> float:
-    """Time of one request on an open connection, to the last byte."""
+    """Return the time of one request on an open connection, to the last byte."""
     reader, writer = connected
     began = time.perf_counter()
     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
@@ -150,8 +150,8 @@ async def answer_s(connected: Connected, path: str) -> float:
     return time.perf_counter() - began
 
 
-async def small_answers(port: int) -> dict[str, float]:
-    """Median time of small requests, ms."""
+async def measure_small_answers(port: int) -> dict[str, float]:
+    """Return the median time of small requests, ms."""
     found = {}
     for path in ("/healthz", "/"):
         connected = await asyncio.open_connection("127.0.0.1", port)
@@ -161,8 +161,8 @@ async def small_answers(port: int) -> dict[str, float]:
     return found
 
 
-async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
-    """Ask for ``/healthz`` again and again while something is done; its result, and each time."""
+async def probe_during(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
+    """Request ``/healthz`` repeatedly during ``work``; return its result, and each time."""
     connected, times_s = await asyncio.open_connection("127.0.0.1", port), list[float]()
     task = asyncio.ensure_future(work)
     while not task.done():
@@ -172,13 +172,13 @@ async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
     return await task, times_s
 
 
-async def deliveries(
+async def measure_deliveries(
     folder: Path, served: Service, path: str, clients: int, rate_hz: float, seconds: float
 ) -> Any:
-    """Latency of all deliveries, and processor time of connecting and of delivering."""
+    """Return the latency of all deliveries, and processor time of connecting and of delivering."""
     latencies_s: list[float] = []
     before = served.use()["cpu_s"]
-    opened = [await ask(served.port, path) for _ in range(clients)]
+    opened = [await send_request(served.port, path) for _ in range(clients)]
     for reader, _ in opened:
         await reader.readuntil(b"\r\n\r\n")
     # Each has heard that it is connected; the server has begun to wait for all of them.
@@ -220,24 +220,24 @@ async def deliveries(
 
 
 def payload_of(number: int) -> dict[str, Any]:
-    """Give an event the size of a set's."""
+    """Return the payload of an event, as large as a set's."""
     return {"number": number, "cause": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
 
 
-async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any]:
-    """Let clients resume from the first event at once, beside some that read nothing at all."""
+async def resume_clients(served: Service, clients: int, frozen: int) -> dict[str, Any]:
+    """Resume clients from the first event at once, next to some that read nothing at all."""
     before = served.use()
-    silent = [await ask(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
+    silent = [await send_request(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
 
     async def all_of_them() -> int:
         # In a process of their own: what they read would hold up whoever asks for `/healthz` here.
         load = [sys.executable, __file__, "--load", str(served.port), "--clients", str(clients)]
         process = await asyncio.create_subprocess_exec(*load, stdout=subprocess.PIPE)
-        told, _ = await process.communicate()
-        return int(told)
+        output, _ = await process.communicate()
+        return int(output)
 
     began = time.perf_counter()
-    lost, times_s = await looking(served.port, all_of_them())
+    lost, times_s = await probe_during(served.port, all_of_them())
     took_s = time.perf_counter() - began
     after = served.use()
     for _, writer in silent:
@@ -254,11 +254,11 @@ async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any
     }
 
 
-async def lost_by_those_who_come_back(port: int, clients: int) -> int:
-    """Read every stored event at many clients at once; how many of them lack or repeat any."""
+async def count_incomplete_clients(port: int, clients: int) -> int:
+    """Read every stored event at many clients at once; return how many of them lack or repeat any."""
 
     async def resume() -> bool:
-        reader, writer = await ask(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
+        reader, writer = await send_request(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
         content = await reader.readuntil(b"id: %d\n" % STORED_EVENTS)
         writer.close()
         return [int(number) for number in ID.findall(content)] != list(range(1, STORED_EVENTS + 1))
@@ -266,8 +266,8 @@ async def lost_by_those_who_come_back(port: int, clients: int) -> int:
     return sum(await asyncio.gather(*(resume() for _ in range(clients))))
 
 
-def strikes(clients: int) -> dict[str, float]:
-    """How far strikes of a recorder (of the twin, in real time) are from their times, beside streams.
+def measure_strike_delays(clients: int) -> dict[str, float]:
+    """Return the delays of a recorder's strikes (of the twin, in real time) next to streams.
 
     A set each second of `SHOTS` strikes; the first sets, in which kernels are compiled, are left out.
     """
@@ -291,11 +291,11 @@ def strikes(clients: int) -> dict[str, float]:
                 asyncio.run(_listen_until(recorder, served.port, clients))
         with open_catalogue(folder) as catalogue:
             rows = catalogue.rows(ShotRow)
-    begun_ns = {row.set_index: row.mono_ns for row in rows if row.shot_index == 0}
+    started_ns = {row.set_index: row.mono_ns for row in rows if row.shot_index == 0}
     off_ms = [
-        abs((row.mono_ns - begun_ns[row.set_index]) / 1e6 - 1e3 * SHOT_INTERVAL_S * row.shot_index)
+        abs((row.mono_ns - started_ns[row.set_index]) / 1e6 - 1e3 * SHOT_INTERVAL_S * row.shot_index)
         for row in rows
-        if row.shot_index and row.set_index in begun_ns and row.set_index >= STRUCK_S // 2
+        if row.shot_index and row.set_index in started_ns and row.set_index >= STRUCK_S // 2
     ]
     return {
         "clients": clients,
@@ -306,8 +306,8 @@ def strikes(clients: int) -> dict[str, float]:
 
 
 async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: int) -> None:
-    """Read many streams and throw away what they tell, until the recorder has ended."""
-    opened = [await ask(port, "/api/v1/stream") for _ in range(clients)]
+    """Read many streams and discard them, until the recorder has ended."""
+    opened = [await send_request(port, "/api/v1/stream") for _ in range(clients)]
 
     async def read(reader: asyncio.StreamReader) -> None:
         while await reader.read(65536):
@@ -321,25 +321,25 @@ async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: i
         writer.close()
 
 
-def measured(folder: Path, options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Everything that `main` prints."""
+def measure(folder: Path, options: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
+    """Return everything that `main` prints."""
     found: dict[str, Any] = {}
     for way in ("nagle", "ours"):
-        tell(f"small answers, {way}")
+        report(f"small answers, {way}")
         with service(folder, way) as served:
-            found.setdefault("small_answers_ms", {})[way] = asyncio.run(small_answers(served.port))
+            found.setdefault("small_answers_ms", {})[way] = asyncio.run(measure_small_answers(served.port))
     small = found["small_answers_ms"]
     small["ratio"] = {path: round(small["nagle"][path] / small["ours"][path], 1) for path in small["ours"]}
     for way, path in (("fastapi", "/plain"), ("ours", "/api/v1/stream")):
-        tell(f"{options.clients} streams, {way}")
+        report(f"{options.clients} streams, {way}")
         with service(folder, way) as served:
             load = (folder, served, path, options.clients, options.rate, options.seconds)
-            found.setdefault("streams", {})[way] = asyncio.run(deliveries(*load))
+            found.setdefault("streams", {})[way] = asyncio.run(measure_deliveries(*load))
     return found
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -350,18 +350,18 @@ def main() -> None:
     parser.add_argument("--load", type=int, metavar="PORT", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.load is not None:
-        print(asyncio.run(lost_by_those_who_come_back(options.load, options.clients)))
+        print(asyncio.run(count_incomplete_clients(options.load, options.clients)))
         return
 
-    def tell(what: str) -> None:
-        print(f"measuring: {what}", file=sys.stderr, flush=True)
+    def report(stage: str) -> None:
+        print(f"measuring: {stage}", file=sys.stderr, flush=True)
 
     found: dict[str, Any] = {"cores": os.cpu_count()}
     with tempfile.TemporaryDirectory() as name:
-        begin(Path(name))
-        found |= measured(Path(name), options, tell)
+        create_test(Path(name))
+        found |= measure(Path(name), options, report)
     with tempfile.TemporaryDirectory() as name:
-        begin(Path(name))
+        create_test(Path(name))
         with open_catalogue(Path(name), writer=True) as catalogue:
             commit = SetCommit()
             for number in range(STORED_EVENTS):
@@ -371,14 +371,14 @@ def main() -> None:
         found["come_back"] = {}
         for frozen in (0, FROZEN):
             with service(Path(name)) as served:
-                tell(f"{options.clients} come back, {frozen} frozen")
+                report(f"{options.clients} come back, {frozen} frozen")
                 found["come_back"][f"{frozen} frozen"] = asyncio.run(
-                    come_back(served, options.clients, frozen)
+                    resume_clients(served, options.clients, frozen)
                 )
     found["strikes_off_their_times"] = {}
     for clients in (0, options.clients):
-        tell(f"strikes beside {clients} streams")
-        found["strikes_off_their_times"][f"{clients}"] = strikes(clients)
+        report(f"strikes beside {clients} streams")
+        found["strikes_off_their_times"][f"{clients}"] = measure_strike_delays(clients)
     if options.json:
         print(json.dumps(found))
         return
@@ -387,7 +387,7 @@ def main() -> None:
             print(f"{part:<25}{name:<12}{value}")
 
 
-def begin(folder: Path) -> None:
+def create_test(folder: Path) -> None:
     """Make an empty test."""
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.create_experiment(

@@ -1,4 +1,4 @@
-"""What `solimon assess` promises, and keeps, on healthy sequences with memory, heavy tails and slow drift.
+"""False alarms of `solimon assess` on healthy sequences with autocorrelation, heavy tails and slow drift.
 
     python benchmarks/false_alarms.py [--runs N] [--json]
 
@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.healthy_sequences import NAMES, P, healthy
 
-from analysis.statistics.baseline_check import named_in
+from analysis.statistics.baseline_check import find_anomalies
 from analysis.statistics.design import Budget
 from analysis.statistics.sequence import Assessed, assess
 
@@ -35,36 +35,36 @@ LIMITS = ("default", "f_predictive", "paper_mean_3sd")
 FEATURES = [f"feature {k}" for k in range(P)]
 
 
-def judged(vectors: Any, n: int) -> Assessed:
-    """Judge a sequence whose first ``n`` sets are the baseline."""
+def assessed_sequence(vectors: Any, n: int) -> Assessed:
+    """Assess a sequence whose first ``n`` sets are the baseline."""
     return assess(vectors, np.arange(len(vectors)) < n, FEATURES, textbooks=False)
 
 
-def promise(task: tuple[str, int, int]) -> dict[str, float]:
-    """Five years of one healthy sensor."""
+def assess_healthy(task: tuple[str, int, int]) -> dict[str, float]:
+    """Assess five years of one healthy sensor."""
     name, n, seed = task
-    found = judged(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
+    found = assessed_sequence(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
     rates = {limit: 100.0 * found.count[limit] / FIVE_YEARS for limit in LIMITS}
     return {**rates, "alarms": len(found.onsets), "not promised": bool(found.why_not_guaranteed)}
 
 
 def delay_sets(task: tuple[str, int, int]) -> float:
-    """Count the sets from the beginning of a ramp in a random direction to the alarm; infinite: none."""
+    """Count the sets from the start of a ramp in a random direction to the alarm; infinite: none."""
     name, n, seed = task
     random = np.random.default_rng([seed, n])
     vectors = healthy(name, n + 2 * RAMP_SETS, random)
     direction = random.standard_normal(P)
     ramp = RAMP_SD * np.arange(1, 2 * RAMP_SETS + 1) / RAMP_SETS
     vectors[n:] += ramp[:, None] * direction / np.linalg.norm(direction)
-    onsets = judged(vectors, n).onsets
+    onsets = assessed_sequence(vectors, n).onsets
     return float(onsets[0] - n + 1) if onsets else float("inf")
 
 
 BAD = ("healthy", "8 sets 8 SD off alike", "one set 10 SD off", "trend of 3 SD each")
 
 
-def named(task: tuple[str, int, int]) -> bool:
-    """Tell whether a baseline with this fault is named with its kind (a healthy one: with any)."""
+def is_fault_named(task: tuple[str, int, int]) -> bool:
+    """Return whether the check names the kind of a baseline's fault (of a healthy one: any)."""
     fault, n, seed = task
     random = np.random.default_rng([seed, n])
     vectors = random.standard_normal((n, P))
@@ -77,32 +77,32 @@ def named(task: tuple[str, int, int]) -> bool:
         vectors[rows[0]] += 10.0 * direction
     elif fault == BAD[3]:
         vectors += 3.0 * np.linspace(0.0, 1.0, n)[:, None]
-    kinds = {one.kind for one in named_in(vectors)}
+    kinds = {one.kind for one in find_anomalies(vectors)}
     wanted = {BAD[1]: "group", BAD[2]: "outlier", BAD[3]: "trend"}.get(fault)
     return bool(kinds) if wanted is None else wanted in kinds
 
 
-def measured(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
-    """Everything that `main` prints; ``each`` maps a function over tasks."""
+def measure(runs: int, each: Callable[..., Any]) -> dict[str, Any]:
+    """Return everything that `main` prints; ``each`` maps a function over tasks."""
     found: dict[str, Any] = {"healthy": {}, "delay_sets": {}, "named": {}}
     for n in BASELINES:
         for name in NAMES:
-            outcomes = list(each(promise, [(name, n, seed) for seed in range(runs)]))
-            told = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
-            found["healthy"][f"{name}, n = {n}"] = told
+            outcomes = list(each(assess_healthy, [(name, n, seed) for seed in range(runs)]))
+            means = {key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]}
+            found["healthy"][f"{name}, n = {n}"] = means
             print(f"{name}, n = {n}", file=sys.stderr)
         for name in DELAYED:
             delays = list(each(delay_sets, [(name, n, seed) for seed in range(3 * runs)]))
             found["delay_sets"][f"{name}, n = {n}"] = float(np.median(delays))
     for fault in BAD:
         found["named"][fault] = float(
-            np.mean(list(each(named, [(fault, 48, seed) for seed in range(5 * runs)])))
+            np.mean(list(each(is_fault_named, [(fault, 48, seed) for seed in range(5 * runs)])))
         )
     return found
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -110,14 +110,14 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with ProcessPoolExecutor() as executor:
-        found = measured(options.runs, lambda function, tasks: executor.map(function, tasks, chunksize=4))
+        found = measure(options.runs, lambda function, tasks: executor.map(function, tasks, chunksize=4))
     if options.json:
         print(json.dumps(found))
         return
     print(f"{'healthy sensor':24}{'default':>9}{'F':>8}{'paper':>8}  %   alarms in 5 years   not promised")
-    for name, told in found["healthy"].items():
-        rates = f"{told['default']:9.3f}{told['f_predictive']:8.3f}{told['paper_mean_3sd']:8.2f}"
-        print(f"{name:24}{rates}      {told['alarms']:8.2f}            {100 * told['not promised']:6.0f} %")
+    for name, means in found["healthy"].items():
+        rates = f"{means['default']:9.3f}{means['f_predictive']:8.3f}{means['paper_mean_3sd']:8.2f}"
+        print(f"{name:24}{rates}      {means['alarms']:8.2f}            {100 * means['not promised']:6.0f} %")
     for name, sets in found["delay_sets"].items():
         print(f"a ramp of {RAMP_SD:g} SD in {RAMP_SETS} sets, {name}: alarm after {sets:.0f} sets (median)")
     for fault, share in found["named"].items():

@@ -1,4 +1,4 @@
-"""Cost of extracting the features of one shot, beside the direct computation at the full rate.
+"""Cost of feature extraction per shot, next to the direct computation at the full rate.
 
 Records are drawn, not simulated: cos^4 pulses as wide as the paper's, white noise 40 dB below the ISW,
 16 bit, 10 MS/s, 13,000 samples. Each is used once a round, so that no branch predictor learns it.
@@ -64,7 +64,7 @@ def records(n: int) -> list[Waveform]:
 
 
 def direct(waveform: Waveform) -> dict[str, float]:
-    """Compute the same features straight from their definitions."""
+    """Compute the same features directly from their definitions."""
     volts, time_s = waveform.volts(), waveform.time_s()
     # The wave of these records reaches 50 us before the trigger; what lies before is quiet.
     x = volts - np.median(volts[: PRETRIGGER - 500])
@@ -96,7 +96,7 @@ def _vertex(values: FloatArray, k: int) -> float:
 
 
 def _top(x: FloatArray, time_s: FloatArray, k: int) -> tuple[float, float]:
-    """Time and height of the quartic through the top above half height."""
+    """Return time and height of the quartic through the top above half height."""
     near = slice(k - 900, k + 900)
     smooth = np.convolve(x[near], np.full(111, 1.0 / 111), "same")
     above = smooth > 0.5 * smooth[800:1000].max()
@@ -127,7 +127,7 @@ def _autocorrelation(
 
 
 def milliseconds(call: Callable[[Waveform], object], waveforms: Sequence[Waveform], rounds: int) -> float:
-    """Best mean over the rounds: the others were disturbed by the machine, none can be too fast."""
+    """Return the minimum of the rounds' means: the machine disturbs the others, none can be too fast."""
     best = math.inf
     for _ in range(rounds):
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The dashboard's first picture in a headless Chromium: from the navigation to drawn charts, on loopback.
+"""First view of the dashboard in a headless Chromium: from the navigation to drawn charts, on loopback.
 
     python benchmarks/first_picture.py [--folder F] [--times N] [--json]
 
@@ -70,9 +70,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="data folder of a test")
     parser.add_argument("--times", type=int, default=10)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        folder = asked.folder or filled(Path(place))
+        folder = options.folder or create_filled_test(Path(place))
         server = subprocess.Popen(
             [sys.executable, "-c", SERVER, str(folder)],
             stdin=subprocess.PIPE,
@@ -82,21 +82,21 @@ def main() -> None:
         )
         try:
             assert server.stdout is not None
-            told = visits(server.stdout.readline().strip(), asked.times)
+            times_by_name = visit_times(server.stdout.readline().strip(), options.times)
         finally:
             assert server.stdin is not None
             server.stdin.close()
             server.wait()
-    if asked.json:
-        print(json.dumps(told))
+    if options.json:
+        print(json.dumps(times_by_name))
         return
-    print(f"{'':22}{'median':>10}{'least':>10}{'most':>10}   ms, {asked.times} visits")
-    for name, times_ms in told.items():
+    print(f"{'':22}{'median':>10}{'least':>10}{'most':>10}   ms, {options.times} visits")
+    for name, times_ms in times_by_name.items():
         print(f"{name:22}{statistics.median(times_ms):10.1f}{min(times_ms):10.1f}{max(times_ms):10.1f}")
 
 
-def filled(folder: Path) -> Path:
-    """Invent a test and end it."""
+def create_filled_test(folder: Path) -> Path:
+    """Create an ended test with invented data."""
     test = FilledFolder(folder, Settings())
     for index in range(SETS):
         test.add_set(index, stored=index < STORED or index == SETS - 1)
@@ -104,14 +104,14 @@ def filled(folder: Path) -> Path:
     return folder
 
 
-def visits(url: str, times: int) -> dict[str, list[float]]:
-    """Milliseconds of each visit."""
-    told: dict[str, list[float]] = {"document alone": []}
+def visit_times(url: str, times: int) -> dict[str, list[float]]:
+    """Return the milliseconds of each visit."""
+    times_by_name: dict[str, list[float]] = {"document alone": []}
     with httpx.Client(base_url=url) as api:
         for _ in range(times):
-            begun_s = time.perf_counter()
+            start_s = time.perf_counter()
             api.get("/").raise_for_status()
-            told["document alone"].append(1e3 * (time.perf_counter() - begun_s))
+            times_by_name["document alone"].append(1e3 * (time.perf_counter() - start_s))
     with chromium() as browser:
         for _ in range(times):
             context = browser.new_context(viewport=DESK)
@@ -119,13 +119,13 @@ def visits(url: str, times: int) -> dict[str, list[float]]:
             page = context.new_page()
             for when, go in (("", lambda page=page: page.goto(url)), (", again", page.reload)):
                 go()
-                for name, at_ms in seen(page).items():
-                    told.setdefault(f"{WHAT[name]}{when}", []).append(at_ms)
+                for name, at_ms in wait_until_drawn(page).items():
+                    times_by_name.setdefault(f"{WHAT[name]}{when}", []).append(at_ms)
             context.close()
-    return told
+    return times_by_name
 
 
-def seen(page: Any) -> dict[str, float]:
+def wait_until_drawn(page: Any) -> dict[str, float]:
     """Wait until everything is drawn."""
     found: dict[str, float] = page.evaluate("window.allSeen")
     return {name: found[name] for name in WHAT}

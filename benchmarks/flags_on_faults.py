@@ -1,4 +1,4 @@
-"""How often each of the twin's seeded faults is flagged, and what it does to the shots' features.
+"""Flag rate of each of the twin's seeded faults, and the fault's effect on the shots' features.
 
 Run ``python benchmarks/flags_on_faults.py [--shots N] [--seed S]``. Every fault acts alone on a pristine
 wall with the default scatter, drift and noise, at an hour when gradual faults have their full size and

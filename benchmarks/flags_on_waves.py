@@ -1,4 +1,4 @@
-"""How often waves that are not a transducer's own are flagged, and its own are not, at 20, 30 and 40 dB.
+"""Flag rates of foreign and own waves of a transducer, at 20, 30 and 40 dB.
 
     python benchmarks/flags_on_waves.py [--records N] [--seed S] [--walls one|any|alone]
         [--shape twin|cos4|gauss|sech2] [--noise-ends-hz HZ]
@@ -25,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from analysis.waves.features import ShotFeatures, extract_from_volts
-from analysis.waves.template import Template, compared_with_others, learnt
+from analysis.waves.template import Template, compare_with_others, learn_template
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -53,7 +53,7 @@ SHAPES: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """A strike, its hole, and what the noise is of its height."""
+    """Strike, its hole, and the noise relative to its height."""
 
     random: Generator
     isw_s: float
@@ -65,15 +65,15 @@ class Scene:
     noise_ends_hz: float = RATE_HZ / 2.0
 
     def clean(self) -> FloatArray:
-        """Draw a sound record."""
+        """Return a sound record."""
         return self.noisy(self.height * self.wave(self.isw_s))
 
     def noisy(self, volts: FloatArray) -> FloatArray:
-        """Add the noise."""
+        """Return the volts with noise."""
         return volts + self.some_noise(volts.size)
 
     def some_noise(self, n: int) -> FloatArray:
-        """Draw n samples of it."""
+        """Return n samples of noise."""
         noise = self.noise * self.random.standard_normal(n)
         if self.noise_ends_hz >= RATE_HZ / 2.0:
             return noise
@@ -91,7 +91,7 @@ def weak(scene: Scene) -> FloatArray:
 
 
 def saturated(scene: Scene) -> FloatArray:
-    """Cut by an amplifier at .5 to .85 of the wave, noise before or after it."""
+    """Clip at .5 to .85 of the wave, noise before or after the amplifier."""
     end = scene.random.uniform(0.5, 0.85) * scene.height
     if scene.random.random() < 0.5:
         return np.minimum(scene.clean(), end)
@@ -99,7 +99,7 @@ def saturated(scene: Scene) -> FloatArray:
 
 
 def cut_at_95(scene: Scene) -> FloatArray:
-    """Cut by an amplifier at .95 of the wave; its noise comes after it."""
+    """Clip at .95 of the wave; the noise comes after the amplifier."""
     return scene.noisy(np.minimum(scene.height * scene.wave(scene.isw_s), 0.95 * scene.height))
 
 
@@ -115,7 +115,7 @@ def second_strike(scene: Scene) -> FloatArray:
 
 
 def knock(scene: Scene) -> FloatArray:
-    """Add a ringing of 2 to 12 kHz and .1 to .4 that begins within 400 us of the ISW."""
+    """Add a ringing of 2 to 12 kHz and .1 to .4 that starts within 400 us of the ISW."""
     since_s = TIME_S - scene.isw_s - scene.random.uniform(0.0, 400e-6)
     turns = scene.random.uniform(2e3, 12e3) * since_s + scene.random.random()
     decay = np.exp(-since_s.clip(0.0) / scene.random.uniform(0.1e-3, 0.6e-3))
@@ -166,21 +166,21 @@ def lost_and_held(scene: Scene) -> FloatArray:
 
 
 def broken_off(scene: Scene) -> FloatArray:
-    """Fill the record with zeros from somewhere on, at the latest in its last fifth."""
+    """Fill the end of the record with zeros, at the latest from its last fifth."""
     volts = scene.clean()
     volts[scene.random.integers(PRETRIGGER + 500, SAMPLES * 4 // 5) :] = 0.0
     return volts
 
 
 def lost_and_bridged(scene: Scene) -> FloatArray:
-    """Draw a line between the neighbours."""
+    """Replace samples by a line between the neighbours."""
     volts, lost = scene.clean(), _lost(scene)
     volts[lost] = np.linspace(volts[lost.start], volts[lost.stop], lost.stop - lost.start)
     return volts
 
 
 def lost_and_closed_up(scene: Scene) -> FloatArray:
-    """Move the rest forward; noise follows at the end."""
+    """Shift the rest forward; noise follows at the end."""
     volts = np.delete(scene.clean(), _lost(scene))
     return np.append(volts, scene.some_noise(SAMPLES - volts.size))
 
@@ -208,7 +208,7 @@ CASES: tuple[Callable[[Scene], FloatArray], ...] = (
 
 @cache
 def twin_waves() -> list[tuple[Wave, Wave, float]]:
-    """Waves of the twin, with a hole's, and their times of flight; the mesh is coarse."""
+    """Return waves of the twin, with a hole's, and their times of flight; the mesh is coarse."""
     plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
     found = []
     for size_m in (25.4e-3, 50.8e-3):
@@ -243,7 +243,7 @@ def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:
     return wave, silent, tof_s
 
 
-def rates(
+def flag_rates(
     case: Callable[[Scene], FloatArray],
     shape: str,
     snr_db: float,
@@ -252,7 +252,7 @@ def rates(
     walls: str = "one",
     noise_ends_hz: float = RATE_HZ / 2.0,
 ) -> tuple[float, float]:
-    """Part of the shots that are flagged, and that are not valid."""
+    """Return the fractions of the shots that are flagged, and that are not valid."""
     random = np.random.default_rng([seed, round(snr_db)])
 
     def wall() -> tuple[Wave, Wave, float]:
@@ -277,17 +277,17 @@ def rates(
     shots = []
     for _ in range(0, n, OF_A_SET):
         own = wall()
-        others = [_extracted(scene(own).clean()) for _ in range(OTHERS[walls])]
-        told = Template(isw_fwhm_s=_extracted(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
+        others = [_extract_features(scene(own).clean()) for _ in range(OTHERS[walls])]
+        template = Template(isw_fwhm_s=_extract_features(own[0](45e-6)).isw_fwhm_s, isw_amplitude_v=1.0)
         for _ in range(OF_A_SET):
-            seen = [*others, _extracted(case(scene(own)))]
-            shots.append(compared_with_others(seen, learnt(seen) if others else told)[-1])
+            seen = [*others, _extract_features(case(scene(own)))]
+            shots.append(compare_with_others(seen, learn_template(seen) if others else template)[-1])
     return float(np.mean([bool(shot.flags) for shot in shots])), float(
         np.mean([not shot.valid for shot in shots])
     )
 
 
-def _extracted(volts: FloatArray) -> ShotFeatures:
+def _extract_features(volts: FloatArray) -> ShotFeatures:
     return extract_from_volts(volts, RATE_HZ, PRETRIGGER)
 
 
@@ -308,7 +308,7 @@ def main() -> None:
     )
     for case in CASES:
         found = [
-            rates(
+            flag_rates(
                 case,
                 arguments.shape,
                 db,
@@ -319,8 +319,8 @@ def main() -> None:
             )
             for db in levels_db
         ]
-        told = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
-        print(f"{case.__name__:22s} {told}", flush=True)
+        template = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
+        print(f"{case.__name__:22s} {template}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Many sensors judged together: how many raised ones are false, how many sick ones are found, how fast.
+"""Fleet assessment: fraction of false raises, fraction of sick sensors found, and speed.
 
     python benchmarks/fleet.py [--fleets N] [--sensors N] [--json]
     python benchmarks/fleet.py --speed
@@ -44,7 +44,7 @@ NAMES = tuple("abcde")
 
 
 def fleet(kind: str, n: int, sensors: int, sick: int, gain_sd: float, random: Any) -> list[np.ndarray]:
-    """Tables of a fleet, the sick ones first."""
+    """Return the tables of a fleet, the sick ones first."""
     hours = np.arange(n + SETS)
     season = WEATHER_SD * np.sin(2 * np.pi * hours / SETS) + 0.5 * np.sin(2 * np.pi * hours / 24)
     tables = []
@@ -60,8 +60,8 @@ def fleet(kind: str, n: int, sensors: int, sick: int, gain_sd: float, random: An
     return tables
 
 
-def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
-    """Judge one fleet, and count."""
+def assess_random_fleet(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
+    """Assess one fleet, and count."""
     kind, n, sensors, share, gain_sd, seed = task
     sick = round(share * sensors)
     random = np.random.default_rng([seed, n, sick, sensors])
@@ -77,28 +77,28 @@ def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
 
     with one_blas_thread():
         alone = [list(assess(x, in_baseline, NAMES, textbooks=False).onsets) for x in tables]
-        told = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
-    raised = {int(one["file"]) for one in told["raised"]}
+        report = assess_fleet(paths, read, mapped, Budget(), 0.1, alone)
+    raised = {int(one["file"]) for one in report["raised"]}
     by_budget = {k for k, rows in enumerate(alone) if rows}
     return {
-        "false": _false(raised, sick),
+        "false": _count_false(raised, sick),
         "found": len([k for k in raised if k < sick]) / sick if sick else float("nan"),
-        "false by each budget": _false(by_budget, sick),
-        "shared named": float(bool(told["shared"])),
-        "promised": float(told["fdr_guaranteed"]),
+        "false by each budget": _count_false(by_budget, sick),
+        "shared named": float(bool(report["shared"])),
+        "promised": float(report["fdr_guaranteed"]),
     }
 
 
-def _false(raised: set[int], sick: int) -> float:
+def _count_false(raised: set[int], sick: int) -> float:
     return len([k for k in raised if k >= sick]) / max(1, len(raised))
 
 
-def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str, Any]:
-    """Everything that `main` prints."""
+def measure(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str, Any]:
+    """Return everything that `main` prints."""
     found = {}
     for kind, n, share in product(KINDS, BASELINES, SICK):
         tasks = [(kind, n, sensors, share, gain_sd, seed) for seed in range(fleets)]
-        outcomes = list(mapped(outcome, tasks))
+        outcomes = list(mapped(assess_random_fleet, tasks))
         found[f"{kind}, n = {n}, {share:.0%} sick"] = {
             key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]
         }
@@ -109,8 +109,8 @@ def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str
     return found
 
 
-def speed() -> dict[str, float]:
-    """Time 1,000 tables by the clock and by the processor: a busy machine takes more of the first only."""
+def measure_speed() -> dict[str, float]:
+    """Time 1,000 tables by clock and processor: a busy machine increases the first only."""
     with tempfile.TemporaryDirectory() as folder:
         random = np.random.default_rng(1)
         paths = [Path(folder) / f"sensor_{k:04d}.npy" for k in range(1000)]
@@ -119,22 +119,22 @@ def speed() -> dict[str, float]:
         took = {}
         for words in ([], ["--fleet"]):
             command = ["solimon", "assess", *map(str, paths), "--baseline-rows", "200", "--json", "--no-rows"]
-            begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            start_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run([*command, *words], check=True, capture_output=True)
             name = " ".join(["solimon assess", *words])
-            took[name] = time.perf_counter() - begun
+            took[name] = time.perf_counter() - start_s
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             took[f"{name}, processor"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         for path in paths:
             vectors = np.load(path)
             assess(vectors, np.arange(len(vectors)) < 200, NAMES, textbooks=False)
-        took["one after another"] = time.perf_counter() - begun
+        took["one after another"] = time.perf_counter() - start_s
         return took
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -145,14 +145,14 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.speed:
-        took = speed()
+        took = measure_speed()
         ratio = took["one after another"] / took["solimon assess"]
         print(json.dumps(took) if options.json else "\n".join(f"{k:36}{v:7.1f} s" for k, v in took.items()))
         if not options.json:
             print(f"{'ratio':36}{ratio:7.2f}")
         return
     with ProcessPoolExecutor() as executor:
-        found = measured(options.fleets, options.sensors, options.gain_sd, executor.map)
+        found = measure(options.fleets, options.sensors, options.gain_sd, executor.map)
     if options.json:
         print(json.dumps(found))
         return
@@ -160,10 +160,10 @@ def main() -> None:
         f"{'fleet':34}  false of raised   +-      sick found   false, each within its budget   weather named"
         "   promised"
     )
-    for name, told in found.items():
+    for name, report in found.items():
         print(
-            f"{name:34}{told['false']:17.3f}   {told['standard error']:5.3f}{told['found']:13.2f}"
-            f"{told['false by each budget']:32.2f}{told['shared named']:16.2f}{told['promised']:11.2f}"
+            f"{name:34}{report['false']:17.3f}   {report['standard error']:5.3f}{report['found']:13.2f}"
+            f"{report['false by each budget']:32.2f}{report['shared named']:16.2f}{report['promised']:11.2f}"
         )
 
 

@@ -1,4 +1,4 @@
-"""A million sets at one position, ten million rows in all, while more are written: any range at any zoom.
+"""History of a million sets at one position, ten million rows, during writing: any range at any zoom.
 
     python benchmarks/history_at_any_zoom.py [--folder F] [--sets N] [--answers N] [--json]
 
@@ -55,7 +55,7 @@ GROUP BY 1
 
 
 def one_position() -> Settings:
-    """Give a test with a set every six minutes for as long as asked."""
+    """Return a test with a set every six minutes without end."""
     phases = [{"until_h": 1000.0, "interval_h": INTERVAL_H}]
     return Settings(positions={"B": {"method": "solitary_wave"}}, schedule={"phases": phases})
 
@@ -96,7 +96,7 @@ def add_set(commit: SetCommit, index: int, rng: np.random.Generator) -> None:
 
 
 def fill(folder: Path, n_sets: int) -> None:
-    """Store the sets, many in a transaction."""
+    """Store the sets, many per transaction."""
     settings, rng = one_position(), np.random.default_rng(0)
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.create_experiment(
@@ -116,8 +116,8 @@ def fill(folder: Path, n_sets: int) -> None:
         print(file=sys.stderr)
 
 
-def go_on_writing(folder: Path, first: int, stop: Event) -> None:
-    """Store a set every `PERIOD_S` until told to stop."""
+def write_sets(folder: Path, first: int, stop: Event) -> None:
+    """Store a set every `PERIOD_S` until stopped."""
     rng = np.random.default_rng(first)
     with open_catalogue(folder, writer=True, settings=one_position()) as catalogue:
         while not stop.wait(PERIOD_S):
@@ -128,7 +128,7 @@ def go_on_writing(folder: Path, first: int, stop: Event) -> None:
 
 
 def ranges(n_sets: int, count: int) -> list[tuple[int, int]]:
-    """Give ranges of sets, of every width alike, from one to all of them."""
+    """Return ranges of sets, of every width equally, from one to all of them."""
     chance, found = random.Random(0), [(0, n_sets - 1)]
     for _ in range(count - 1):
         width = round(n_sets ** chance.random())
@@ -137,8 +137,8 @@ def ranges(n_sets: int, count: int) -> list[tuple[int, int]]:
     return found
 
 
-async def asked(folder: Path, asked_for: list[tuple[int, int]]) -> list[tuple[float, int]]:
-    """Seconds and bytes of each answer; what was planted must be in it."""
+async def measure_answers(folder: Path, asked_for: list[tuple[int, int]]) -> list[tuple[float, int]]:
+    """Return seconds and bytes of each answer, after a check for the planted outliers."""
     taken, app = [], create_app(one_position(), folder)
     async with (
         app.router.lifespan_context(app),
@@ -160,16 +160,16 @@ async def asked(folder: Path, asked_for: list[tuple[int, int]]) -> list[tuple[fl
 
 
 def require_outliers(trend: dict[str, Any], first: int, last: int) -> None:
-    """Refuse an answer that hides an outlier."""
+    """Raise for an answer that hides an outlier."""
     planted = (last + 1) // OUTLIER_EVERY - max(first, 48) // OUTLIER_EVERY
     columns, bins = trend["columns"], trend["bins"]
-    told = sum(bins["n_outliers"]) if bins else sum(map(bool, columns["outlier"]))
-    if told != planted or (planted and not any(columns["outlier"])):
-        raise SystemExit(f"sets {first} to {last} have {planted} outliers, the answer tells {told}")
+    n_outliers = sum(bins["n_outliers"]) if bins else sum(map(bool, columns["outlier"]))
+    if n_outliers != planted or (planted and not any(columns["outlier"])):
+        raise SystemExit(f"sets {first} to {last} have {planted} outliers, the answer tells {n_outliers}")
 
 
-def grouped(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
-    """Seconds of each range by one statement."""
+def measure_statements(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
+    """Return seconds of each range by one statement."""
     taken = []
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         for first, last in asked_for:
@@ -180,18 +180,18 @@ def grouped(folder: Path, asked_for: list[tuple[int, int]]) -> list[float]:
     return taken
 
 
-def measured(folder: Path, n_sets: int, n_answers: int) -> dict[str, float]:
-    """Ask while another process writes."""
+def measure(folder: Path, n_sets: int, n_answers: int) -> dict[str, float]:
+    """Measure answers while another process writes."""
     with closing(sqlite3.connect(folder / FILE_NAME)) as connection:
         (n_stored,) = connection.execute("SELECT max(set_index) + 1 FROM sets").fetchone()
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type='table'")]
         n_rows = sum(connection.execute(f'SELECT count(*) FROM "{name}"').fetchone()[0] for name in tables)
     asked_for, stop = ranges(n_sets, n_answers), multiprocessing.get_context("spawn").Event()
-    writer = multiprocessing.get_context("spawn").Process(target=go_on_writing, args=(folder, n_stored, stop))
+    writer = multiprocessing.get_context("spawn").Process(target=write_sets, args=(folder, n_stored, stop))
     writer.start()
     try:
-        answers = asyncio.run(asked(folder, asked_for))
-        plain = grouped(folder, asked_for)
+        answers = asyncio.run(measure_answers(folder, asked_for))
+        plain = measure_statements(folder, asked_for)
     finally:
         stop.set()
         writer.join()
@@ -209,19 +209,19 @@ def measured(folder: Path, n_sets: int, n_answers: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Fill the folder where that was not done, measure, and print."""
+    """Fill the folder if necessary, measure, and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr] # it is there
     parser.add_argument("--folder", type=Path, help="kept; filled once")
     parser.add_argument("--sets", type=int, default=SETS)
     parser.add_argument("--answers", type=int, default=400)
     parser.add_argument("--json", action="store_true")
     chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        folder = chosen.folder or Path(made)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = chosen.folder or Path(temporary)
         if not (folder / FILE_NAME).exists():
             folder.mkdir(parents=True, exist_ok=True)
             fill(folder, chosen.sets)
-        found = measured(folder, chosen.sets, chosen.answers)
+        found = measure(folder, chosen.sets, chosen.answers)
     if chosen.json:
         print(json.dumps(found))
         return

@@ -1,4 +1,4 @@
-"""The house in numbers: rooms and floors of each level, circles, lines of code, `Any`s; beside another state.
+"""Architecture in numbers: rooms, floors, circles, lines of code, `Any`s; compared with another state.
 
     python benchmarks/house.py                    # this checkout
     python benchmarks/house.py --against 9c4a9b9  # and how it was before
@@ -36,7 +36,7 @@ NOT_CODE = {
 
 
 def lines_of_code(text: str) -> int:
-    """Count lines with code on them; a docstring is none, that of an attribute neither."""
+    """Count lines with code; docstrings, also of attributes, do not count."""
     lines: set[int] = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type not in NOT_CODE:
@@ -57,7 +57,7 @@ def anys(text: str) -> int:
 
 
 def floors(imports: dict[str, set[str]]) -> int | None:
-    """Longest chain of imports between rooms, None where they form a circle."""
+    """Return the longest chain of imports between rooms, None where they form a circle."""
     height: dict[str, int] = {}
     try:
         for room in TopologicalSorter(imports).static_order():
@@ -68,7 +68,7 @@ def floors(imports: dict[str, set[str]]) -> int | None:
 
 
 def levels() -> dict[str, dict[str, int | None]]:
-    """Rooms and floors of each level of the packages that this process imports."""
+    """Return rooms and floors of each level of the packages that this process imports."""
     import grimp
 
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
@@ -114,7 +114,7 @@ def measure(tree: Path) -> dict[str, dict[str, int | None]]:
 
 
 def measure_revision(revision: str) -> dict[str, dict[str, int | None]]:
-    """Measure a commit, unpacked beside this checkout."""
+    """Measure a commit, unpacked next to this checkout."""
     archive = subprocess.run(
         ["git", "archive", revision, *PACKAGES, "tests"], cwd=ROOT, capture_output=True, check=True
     ).stdout
@@ -143,8 +143,8 @@ def main() -> None:
     rows = [(table, key) for table, keys in states["now"].items() for key in keys]
     for table, key in rows:
         values = [state.get(table, {}).get(key, "-") for state in states.values()]
-        told = ["a circle" if value is None else str(value) for value in values]
-        print(f"{table + ', ' + key:<30}" + "".join(f"{value:>14}" for value in told))
+        texts = ["a circle" if value is None else str(value) for value in values]
+        print(f"{table + ', ' + key:<30}" + "".join(f"{value:>14}" for value in texts))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The journal beside a raw write and fdatasync of the same counts, in one run.
+"""Journal next to a raw write and fdatasync of the same counts, in one run.
 
     python benchmarks/journal_speed.py [--folder F] [--rounds R] [--json]
 
@@ -39,7 +39,7 @@ SETTINGS: dict[str, float | str] = {
 
 
 def shots(count: int, first: int) -> list[Shot]:
-    """Make records with counts of their own, so that no checksum is remembered."""
+    """Return records with counts of their own, so that no checksum is cached."""
     noise = np.random.default_rng(first).integers(-3000, 3000, SAMPLES + count).astype(np.int16)
     calibration = Calibration(coefficients_v=np.array([0.0, 3e-4]), resolution_bits=16, range_v=10.0)
     return [
@@ -61,13 +61,13 @@ def shots(count: int, first: int) -> list[Shot]:
 
 
 class RawSegments:
-    """Plain writes with fdatasync into files allocated as the journal's are, and as large."""
+    """Plain writes with fdatasync into files allocated like the journal's, and as large."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._descriptor, self._room, self._number = folder, -1, 0, 0
 
     def write_s(self, group: list[Shot]) -> float:
-        """Seconds until the counts of a group are durable, with a new file where the last one is full."""
+        """Return seconds until the counts of a group are durable; a full file is replaced by a new one."""
         start = time.perf_counter()
         n_bytes = sum(shot.waveform.counts.nbytes for shot in group)
         if self._room < n_bytes:
@@ -85,14 +85,14 @@ class RawSegments:
         return time.perf_counter() - start
 
     def close(self) -> None:
-        """Let go of the present file."""
+        """Close the present file."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
 
 
 def journal_s(journal: Journal, group: list[Shot]) -> float:
-    """Seconds of the same through the journal, from record to acknowledgement."""
+    """Return seconds of the same through the journal, from record to acknowledgement."""
     start = time.perf_counter()
     for shot in group:
         journal.append(shot)
@@ -101,7 +101,7 @@ def journal_s(journal: Journal, group: list[Shot]) -> float:
 
 
 def main() -> None:
-    """Print microseconds a shot, ratios, and the seconds of a start."""
+    """Print microseconds per shot, ratios, and the seconds of a start."""
     arguments = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -109,7 +109,7 @@ def main() -> None:
     arguments.add_argument("--rounds", type=int, default=30)
     arguments.add_argument("--json", action="store_true")
     options = arguments.parse_args()
-    told: dict[str, float] = {}
+    results: dict[str, float] = {}
     with tempfile.TemporaryDirectory(dir=options.folder) as name:
         folder = Path(name)
         (folder / "journal").mkdir()
@@ -131,9 +131,9 @@ def main() -> None:
                     ours.append(journal_s(journal, [replace(shot) for shot in group]))
                     if not number % 2:
                         raw.append(segments.write_s(group))
-            told[f"raw_us_{size}"] = 1e6 * median(raw) / size
-            told[f"journal_us_{size}"] = 1e6 * median(ours) / size
-            told[f"ratio_{size}"] = median(left / right for left, right in zip(raw, ours, strict=True))
+            results[f"raw_us_{size}"] = 1e6 * median(raw) / size
+            results[f"journal_us_{size}"] = 1e6 * median(ours) / size
+            results[f"ratio_{size}"] = median(left / right for left, right in zip(raw, ours, strict=True))
         for path in (folder / "journal").iterdir():
             path.unlink()
         with closing(Journal(folder)) as journal:
@@ -141,17 +141,17 @@ def main() -> None:
                 journal_s(journal, shots(250, first + start))
         start_s = time.perf_counter()
         left = Journal(folder).left
-        told["restart_s"] = time.perf_counter() - start_s
+        results["restart_s"] = time.perf_counter() - start_s
         assert sum(len(item.shots) for item in left.values()) == FRAMES
     if options.json:
-        print(json.dumps(told))
+        print(json.dumps(results))
         return
     for size in GROUPS:
         print(
-            f"{size:4d} shots a sync: raw {told[f'raw_us_{size}']:7.0f} us a shot, journal "
-            f"{told[f'journal_us_{size}']:7.0f} us, ratio {told[f'ratio_{size}']:.2f}"
+            f"{size:4d} shots a sync: raw {results[f'raw_us_{size}']:7.0f} us a shot, journal "
+            f"{results[f'journal_us_{size}']:7.0f} us, ratio {results[f'ratio_{size}']:.2f}"
         )
-    print(f"{FRAMES} frames left by a crash are read in {told['restart_s']:.2f} s")
+    print(f"{FRAMES} frames left by a crash are read in {results['restart_s']:.2f} s")
 
 
 if __name__ == "__main__":

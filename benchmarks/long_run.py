@@ -1,4 +1,4 @@
-"""A recorder that runs for 350 or 3,500 simulated hours: memory, open handles and folder over the sets.
+"""Recorder over 350 or 3,500 simulated hours: memory, open handles and folder size over the sets.
 
     python benchmarks/long_run.py [--hours 3500] [--folder F] [--json]
 
@@ -36,8 +36,8 @@ POOL = 97
 """So many different records are made, and given in turn."""
 
 
-class Instruments:
-    """Strike, record and pulse-echo at once."""
+class PooledInstruments:
+    """Striker, digitizer and pulse-echo unit in one."""
 
     def __init__(self, settings: Settings) -> None:
         adc, echo, random = settings.twin.adc, settings.twin.echo, np.random.default_rng(0)
@@ -69,13 +69,13 @@ class Instruments:
         self._taken = 0
 
     def arm(self, key: ShotKey) -> None:
-        """Nothing is set up."""
+        """Do nothing: nothing is set up."""
 
     def strike(self, key: ShotKey) -> None:
-        """Nothing falls."""
+        """Do nothing: no striker falls."""
 
     def read(self, timeout_s: float) -> Acquired:
-        """Give the next record of the pool, as bytes of its own."""
+        """Return the next record of the pool, as bytes of its own."""
         self._taken += 1
         found = self._shots[self._taken % POOL]
         return Acquired(
@@ -88,18 +88,18 @@ class Instruments:
         )
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Give the same echo."""
+        """Return the same echo."""
         return Echo(waveform=self._echo, gain_db=30.0, offset_v=0.0, averages=16)
 
     def disarm(self) -> None:
-        """Nothing was armed."""
+        """Do nothing: nothing was armed."""
 
     def make_safe(self) -> None:
-        """Nothing is on."""
+        """Do nothing: nothing is on."""
 
 
-def sampled() -> tuple[float, int]:
-    """Resident memory in MB and open handles of this process; Linux and Windows tell them."""
+def sample_process() -> tuple[float, int]:
+    """Return resident memory in MB and open handles of this process; on Linux and Windows only."""
     memory, handles = resident_bytes(), open_handles()
     if memory is None or handles is None:
         raise SystemExit("this system tells neither the memory nor the handles of a process")
@@ -107,12 +107,12 @@ def sampled() -> tuple[float, int]:
 
 
 def slope_per_1000(sets: list[int], values: list[float]) -> float:
-    """Slope of a line through the samples behind the first fifth."""
+    """Return the slope of a line through the samples after the first fifth."""
     first = len(sets) // 5
     return float(np.polyfit(sets[first:], values[first:], 1)[0] * 1000.0)
 
 
-def measured(hours: float, folder: Path) -> dict[str, Any]:
+def measure(hours: float, folder: Path) -> dict[str, Any]:
     """Record to the end and sample on the way."""
     phases = [{"until_h": 75.0, "interval_h": 0.5}, {"until_h": hours, "interval_h": 1.0}]
     settings = Settings(schedule={"phases": phases})
@@ -120,7 +120,7 @@ def measured(hours: float, folder: Path) -> dict[str, Any]:
 
     @contextmanager
     def opened(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-        instruments = Instruments(settings)
+        instruments = PooledInstruments(settings)
         yield Rig(
             kind="simulated",
             clock=clock,
@@ -131,7 +131,7 @@ def measured(hours: float, folder: Path) -> dict[str, Any]:
 
     def tell(event: str, **values: Any) -> None:
         if event == "progress" and values["done"] % EVERY_SETS == 0:
-            samples.append((values["done"], *sampled()))
+            samples.append((values["done"], *sample_process()))
             print(f"\r{values['done']} of {values['planned']} sets", end="", file=sys.stderr)
 
     prepare_data_folder(folder)
@@ -166,15 +166,15 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        facts = measured(options.hours, options.folder or Path(place) / "data")
+        facts = measure(options.hours, options.folder or Path(place) / "data")
     if options.json:
         print(json.dumps(facts))
         return
     for name in ("memory_mb", "handles"):
-        told = facts[name]
+        values = facts[name]
         print(
-            f"{name:<10} {told['first']:.1f} first, {told['last']:.1f} last, {told['most']:.1f} at most, "
-            f"slope {told['slope_per_1000_sets']:+.2f} per 1,000 sets"
+            f"{name:<10} {values['first']:.1f} first, {values['last']:.1f} last, "
+            f"{values['most']:.1f} at most, slope {values['slope_per_1000_sets']:+.2f} per 1,000 sets"
         )
     print(
         f"folder     {facts['folder_bytes'] / 1e9:.3f} GB after {facts['sets']} sets; "

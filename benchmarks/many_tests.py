@@ -1,4 +1,4 @@
-"""Memory of one service of many tests: listed, asked one after the other, followed all at once, left alone.
+"""Memory of one service of many tests: listed, requested in turn, followed all at once, idle.
 
 The folders are copies of one invented test, served by a process of its own in which idle tests close after a
 second instead of a minute. Everything is done twice, so that what is not given back shows::
@@ -58,7 +58,7 @@ OF_A_TEST = ("info", "trends/B?points=200", "alarms")
 
 
 class Service:
-    """A service of many tests in a process of its own."""
+    """Service of many tests in a process of its own."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -69,7 +69,7 @@ class Service:
         return self._process.stdout.readline()
 
     def use(self) -> dict[str, int]:
-        """Memory, open tests and threads now."""
+        """Return memory, open tests and threads now."""
         assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
@@ -88,7 +88,7 @@ class Service:
 
 @contextmanager
 def service(own: Path, folders: list[Path]) -> Iterator[Service]:
-    """Serve folders."""
+    """Run a service of the folders."""
     command = [sys.executable, "-c", SERVER, *map(str, [own, *folders])]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
@@ -96,8 +96,8 @@ def service(own: Path, folders: list[Path]) -> Iterator[Service]:
         process.stdin.close()
 
 
-def made(base: Path, tests: int, sets: int) -> list[Path]:
-    """Make the folders."""
+def create_folders(base: Path, tests: int, sets: int) -> list[Path]:
+    """Create the folders."""
     first = base / "test 1"
     first.mkdir()
     filled = FilledFolder(first, Settings())
@@ -108,10 +108,10 @@ def made(base: Path, tests: int, sets: int) -> list[Path]:
     return [first, *(shutil.copytree(first, base / f"test {n}") for n in range(2, tests + 1))]
 
 
-def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
-    """Everything that `main` prints."""
+def measure(base: Path, tests: int, sets: int) -> dict[str, Any]:
+    """Return everything that `main` prints."""
     steps: dict[str, dict[str, int]] = {}
-    with service(base, made(base, tests, sets)) as served, ExitStack() as stack:
+    with service(base, create_folders(base, tests, sets)) as served, ExitStack() as stack:
         limits = httpx.Limits(max_connections=tests + 1)  # each stream takes one
         # Nothing is encrypted: reading all certificates would take longer than the answers.
         client = httpx.Client(base_url=served.url, timeout=60.0, verify=False, limits=limits)
@@ -120,26 +120,26 @@ def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
         apis = [row["api"] for row in client.get("/api/v1/tests").raise_for_status().json()["items"]]
         assert len(apis) == tests
         steps["listed"] = served.use()
-        for time_told in ("once", "again"):
+        for repetition in ("once", "again"):
             for api in apis:
                 for path in OF_A_TEST:
                     client.get(f"{api}/{path}").raise_for_status()
-            steps[f"asked {time_told}"] = served.use()
+            steps[f"asked {repetition}"] = served.use()
             with ExitStack() as streams:
                 followed = []  # whoever lets go of what it reads by ends the stream
                 for api in apis:
                     answer = streams.enter_context(client.stream("GET", f"{api}/stream"))
                     followed.append(answer.raise_for_status().iter_raw())
                     next(followed[-1])
-                steps[f"followed {time_told}"] = served.use()
-            steps[f"left {time_told}"] = served.left_alone()
-    memory = {step: told["memory_bytes"] / 1e6 for step, told in steps.items()}
+                steps[f"followed {repetition}"] = served.use()
+            steps[f"left {repetition}"] = served.left_alone()
+    memory = {step: values["memory_bytes"] / 1e6 for step, values in steps.items()}
     return {
         "tests": tests,
         "sets": sets,
         "steps": {
-            step: {"memory_mb": round(memory[step], 1), "open": told["open"], "threads": told["threads"]}
-            for step, told in steps.items()
+            step: {"memory_mb": round(memory[step], 1), "open": values["open"], "threads": values["threads"]}
+            for step, values in steps.items()
         },
         "mb_a_followed_test": round((memory["followed once"] - memory["listed"]) / tests, 2),
         "mb_more_the_second_time": round(memory["followed again"] - memory["followed once"], 1),
@@ -147,7 +147,7 @@ def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -156,12 +156,12 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="one object instead of lines")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        found = measured(Path(name), options.tests, options.sets)
+        found = measure(Path(name), options.tests, options.sets)
     if options.json:
         print(json.dumps(found))
         return
-    for part, told in found.items():
-        for name, values in told.items() if isinstance(told, dict) else [("", told)]:
+    for part, results in found.items():
+        for name, values in results.items() if isinstance(results, dict) else [("", results)]:
             print(f"{part:<24}{name:<16}{values}")
 
 

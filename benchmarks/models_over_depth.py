@@ -50,7 +50,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Model:
-    """A plate, and the same one meshed more finely; anchors have no mesh."""
+    """Plate, and the same one meshed more finely; references have no mesh."""
 
     plate: PlateParameters
     finer: PlateParameters | None = None
@@ -75,7 +75,7 @@ ZENER = "zener"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One line of the table; changes are None where there is nothing to refine."""
+    """Line of the table; changes are None where there is nothing to refine."""
 
     model: str
     patch: str
@@ -88,7 +88,7 @@ class Row:
 
 
 def rows_of(name: str) -> Iterator[Row]:
-    """Give every depth, patch and sensor of one model."""
+    """Yield every depth, patch and sensor of one model."""
     if name == ZENER:
         yield from zener_rows()
         return
@@ -96,7 +96,9 @@ def rows_of(name: str) -> Iterator[Row]:
     for patch, size_m in PATCHES_M.items() if model.has_patch else [("whole plate", None)]:
         for sensor in SENSORS:
             chain = ChainParameters(sensor=sensor)
-            values, refined = (numbers(chain, plate, size_m, step) for plate, step in variants(model))
+            values, refined = (
+                tof_and_ratio_function(chain, plate, size_m, step) for plate, step in variants(model)
+            )
             for depth in DEPTHS:
                 if depth and name == "rigid_wall":
                     break
@@ -115,18 +117,18 @@ def rows_of(name: str) -> Iterator[Row]:
 
 
 def variants(model: Model) -> list[tuple[PlateParameters, float]]:
-    """Give the model as it is, and refined in space and time."""
+    """Return the model as it is, and refined in space and time."""
     return [(model.plate, STEP_S), (model.finer or model.plate, STEP_S / 4.0)]
 
 
-def numbers(
+def tof_and_ratio_function(
     chain: ChainParameters, plate: PlateParameters, size_m: float | None, step_s: float
 ) -> Callable[[float], tuple[float, float]]:
-    """Make a function of the depth that gives time of flight in us and amplitude ratio."""
+    """Return a function of the depth that returns time of flight in us and amplitude ratio."""
     if size_m is not None:
         model = ShotModel(chain, plate, CorrosionParameters(size_m=size_m), step_s=step_s)
-        return lambda depth: told(model, depth)
-    return lambda depth: told(
+        return lambda depth: tof_and_ratio(model, depth)
+    return lambda depth: tof_and_ratio(
         ShotModel(
             chain,
             replace(plate, thickness_m=plate.thickness_m * (1.0 - depth)),
@@ -137,8 +139,8 @@ def numbers(
     )
 
 
-def told(model: ShotModel, depth: float) -> tuple[float, float]:
-    """Time of flight in us and amplitude ratio of one shot."""
+def tof_and_ratio(model: ShotModel, depth: float) -> tuple[float, float]:
+    """Return time of flight in us and amplitude ratio of one shot."""
     pulses = summarise(model.shot(depth_fraction=depth))
     if pulses.tof_us is None or pulses.amplitude_ratio is None:
         return float("nan"), float("nan")
@@ -146,7 +148,7 @@ def told(model: ShotModel, depth: float) -> tuple[float, float]:
 
 
 def zener_rows() -> Iterator[Row]:
-    """Give the paper's analytical model, as far as it reaches; it knows no sensor and no patch."""
+    """Yield the paper's analytical model within its range; it has no sensor and no patch."""
     for depth in DEPTHS:
         try:
             found = reflect(ChainParameters(), PlateParameters(), depth_fraction=depth)
@@ -164,7 +166,7 @@ def zener_rows() -> Iterator[Row]:
 
 
 def table(names: list[str]) -> list[Row]:
-    """All rows, with progress."""
+    """Return all rows, with progress."""
     found: list[Row] = []
     for name in names:
         for row in rows_of(name):
@@ -175,7 +177,7 @@ def table(names: list[str]) -> list[Row]:
 
 
 def as_csv(rows: list[Row]) -> str:
-    """Give all rows with the digits that they are good for."""
+    """Return all rows with their significant digits."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -190,7 +192,7 @@ def as_csv(rows: list[Row]) -> str:
 
 
 def as_markdown(rows: list[Row]) -> str:
-    """Give a table a sensor and patch: models down, depths across, worst change at the end."""
+    """Return a table per sensor and patch: models down, depths across, worst change at the end."""
     lines = [
         "# Models of the plate over depth",
         "",
@@ -205,14 +207,16 @@ def as_markdown(rows: list[Row]) -> str:
         lines += ["| Model | Patch | " + " | ".join(f"{depth:.0%}" for depth in DEPTHS) + " | Change |"]
         lines += ["|---|---|" + "---|" * (len(DEPTHS) + 1)]
         for model, patch in dict.fromkeys((row.model, row.patch) for row in rows if row.sensor == sensor):
-            its = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]
+            matching = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]
             cells = [
                 "no wave back" if math.isnan(row.tof_us) else f"{row.tof_us:.2f} / {row.amplitude_ratio:.4f}"
-                for row in its
+                for row in matching
             ]
-            cells += ["-"] * (len(DEPTHS) - len(its))
+            cells += ["-"] * (len(DEPTHS) - len(matching))
             changes = [
-                (abs(row.tof_change_us), abs(row.ratio_change or 0.0)) for row in its if row.tof_change_us
+                (abs(row.tof_change_us), abs(row.ratio_change or 0.0))
+                for row in matching
+                if row.tof_change_us
             ]
             worst = " / ".join(f"{max(column):.1g}" for column in zip(*changes, strict=True)) or "-"
             lines.append(f"| {model} | {patch} | " + " | ".join([*cells, worst]) + " |")

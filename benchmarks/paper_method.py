@@ -1,4 +1,4 @@
-"""Time the paper's method beside ours: adaptive Runge-Kutta on every unknown of chain and plate.
+"""Time of the paper's method next to ours: adaptive Runge-Kutta on every unknown of chain and plate.
 
     python benchmarks/paper_method.py [--fraction F] [--json]
 
@@ -81,7 +81,7 @@ class System:
         self.start[self.unknowns] = chain.impact_speed_m_per_s
 
     def fastest_rad_per_s(self) -> float:
-        """Circular frequency of the plate's fastest mode, by vector iteration."""
+        """Return the circular frequency of the plate's fastest mode, by vector iteration."""
         x = np.random.default_rng(1).normal(size=len(self._load))
         for _ in range(POWER_STEPS):
             image = self._per_mass(self._stiffness @ x)
@@ -90,7 +90,7 @@ class System:
         return float(np.sqrt(square))
 
     def rates(self, _: float, y: FloatArray) -> FloatArray:
-        """Right-hand side."""
+        """Return the right-hand side."""
         n = self._bodies
         force = self._forces(y)
         above = np.concatenate(([self._chain.mass_kg[0] * self._chain.gravity_m_per_s2], force[:-1]))
@@ -99,7 +99,7 @@ class System:
         return np.concatenate((y[self.unknowns :], bodies, plate))
 
     def sensor_force(self, y: FloatArray) -> float:
-        """Mean of the two contact forces at the sensor, static ones included."""
+        """Return the mean of the two contact forces at the sensor, static ones included."""
         faces = slice(self._chain.sensor - 1, self._chain.sensor + 1)
         return float(np.mean((self._forces(y) + self._chain.static_force_n)[faces]))
 
@@ -114,13 +114,13 @@ class System:
         return np.asarray(force - chain.static_force_n)
 
     def tolerances(self, relative: float) -> FloatArray:
-        """Absolute tolerances that go with a relative one."""
+        """Return absolute tolerances that go with a relative one."""
         return relative * np.repeat((DISPLACEMENT_M, SPEED_M_PER_S), self.unknowns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One integration to `simulated_s`, sampled every `SAMPLE_S`."""
+    """Integration to `simulated_s`, sampled every `SAMPLE_S`."""
 
     force_n: FloatArray
     seconds: float
@@ -131,7 +131,7 @@ class Run:
 
     @property
     def whole_record_s(self) -> float:
-        """Time for all of the record at this pace."""
+        """Return the time for the complete record at this pace."""
         return self.seconds * RECORD_S / self.simulated_s
 
 
@@ -163,7 +163,7 @@ def integrate(system: System, tolerance: float, until_s: float) -> Run:
 
 
 def stable_phase_rad() -> float:
-    """Largest omega h at which RK45 does not amplify an oscillation: |R(i omega h)| <= 1."""
+    """Return the largest omega h at which RK45 does not amplify an oscillation: |R(i omega h)| <= 1."""
     stages = len(RK45.B)
     explicit = np.pad(RK45.A, ((0, 0), (0, stages - RK45.A.shape[1])))
     phases = np.linspace(0.5, 3.0, 2501)
@@ -179,7 +179,7 @@ def l2(found: FloatArray, expected: FloatArray) -> float:
 
 
 def find_tolerance(depth: float, say: Callable[[str], None]) -> tuple[float, list[dict[str, object]]]:
-    """Best tolerance on the coarse mesh, and what every one gave."""
+    """Return the best tolerance on the coarse mesh, and the results of every one."""
     chain = build_chain(ChainParameters(), COARSE)
     system = System(chain, build_plate(COARSE, CorrosionParameters()), depth, lumped=False)
     ours = ShotModel(ChainParameters(), COARSE, CorrosionParameters(), duration_s=RECORD_S)
@@ -206,7 +206,7 @@ def find_tolerance(depth: float, say: Callable[[str], None]) -> tuple[float, lis
 
 
 def our_seconds(depth: float, fraction: float) -> tuple[float, FloatArray]:
-    """Median of a warm shot on the paper's mesh, and its force over the fraction."""
+    """Return the median of a warm shot on the paper's mesh, and its force over the fraction."""
     model = ShotModel(ChainParameters(), PlateParameters(), CorrosionParameters(), duration_s=RECORD_S)
     shot = model.shot(depth_fraction=depth)
     times = []

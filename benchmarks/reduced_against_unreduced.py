@@ -1,4 +1,4 @@
-"""Integrate the unreduced plate (quarter mesh, all unknowns) beside the reduced one and compare.
+"""Comparison of the unreduced plate (quarter mesh, all unknowns) with the reduced one.
 
 The reference shares the parameters and the mesh with the twin and nothing else: the trapezoidal rule
 in time, for the chain and for every unknown of the plate, where the twin has modes propagated exactly
@@ -49,7 +49,7 @@ SIZES_M = (25.4e-3, 50.8e-3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """One depth: differences relative to the L2 norm of the reference force."""
+    """Depth with its differences relative to the L2 norm of the reference force."""
 
     size_m: float
     depth_fraction: float
@@ -63,7 +63,7 @@ class Comparison:
 
     @property
     def time_ratio(self) -> float:
-        """Unreduced over reduced time of a shot."""
+        """Return unreduced over reduced time of a shot."""
         return self.unreduced_s / self.reduced_s
 
 
@@ -83,7 +83,7 @@ def advance_chain(
     force: FloatArray,
     overlap: FloatArray,
 ) -> float:
-    """One trapezoidal step of all bodies, by fixed-point iteration; returns the impulse on the plate.
+    """Take a trapezoidal step of all bodies by fixed-point iteration; return the impulse on the plate.
 
     The plate's deflection at the end of the step is ``w_free + w_per_impulse * impulse``. Its contact is
     solved by bisection within each iteration, because a fine mesh yields so easily to a fast impulse
@@ -132,7 +132,7 @@ def advance_chain(
 
 
 def unreduced_force(chain: Chain, plate: AffinePlate, depth: float, h: float) -> FloatArray:
-    """Sensor force every `SAMPLE_S`, integrated with step `h`.
+    """Return the sensor force every `SAMPLE_S`, integrated with step `h`.
 
     Plate: ``M (v_1 - v_0) = -h K (u_0 + u_1) / 2 + b B``, solved with ``M + h^2 K / 4``.
     """

@@ -1,4 +1,4 @@
-"""Two data folders compared: every row and every dataset of the same test must be the same.
+"""Comparison of two data folders: all rows and datasets of the same test must be equal.
 
     python benchmarks/same_data.py FOLDER OTHER [--json]
 
@@ -25,7 +25,7 @@ OF_THE_RUN = {"cost", "versions", "created_utc_ns"}
 
 
 def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Rows of every table, without what differs between two runs of one test."""
+    """Return rows of every table, without differences between two runs of one test."""
     with sqlite3.connect(f"file:{folder / 'catalogue.sqlite'}?mode=ro", uri=True) as connection:
         connection.row_factory = sqlite3.Row
         names = [
@@ -48,7 +48,7 @@ def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
-    """Name, bytes and attributes of every dataset of every file, but for the provenance."""
+    """Yield name, bytes and attributes of every dataset of every file, except the provenance."""
     for path in sorted((folder / "sets").glob("*.h5")):
         found: list[tuple[str, bytes, str]] = []
 
@@ -78,20 +78,22 @@ def main() -> int:
             pairs = zip(tables.get(name, []), other.get(name, []), strict=False)
             first = next(((a, b) for a, b in pairs if a != b), "the number of rows")
             differing.append(f"table {name}: {first}")
-    held, other_held = list(datasets(ours)), list(datasets(theirs))
-    if [name for name, _, _ in held] != [name for name, _, _ in other_held]:
+    our_data, their_data = list(datasets(ours)), list(datasets(theirs))
+    if [name for name, _, _ in our_data] != [name for name, _, _ in their_data]:
         differing.append("the datasets have other names")
     differing += [
         f"dataset {name}"
-        for (name, data, told), (_, other_data, other_told) in zip(held, other_held, strict=False)
-        if (data, told) != (other_data, other_told)
+        for (name, data, attributes), (_, other_data, other_attributes) in zip(
+            our_data, their_data, strict=False
+        )
+        if (data, attributes) != (other_data, other_attributes)
     ]
     n_rows = sum(map(len, tables.values()))
-    facts = {"tables": len(tables), "rows": n_rows, "datasets": len(held), "differing": differing}
+    facts = {"tables": len(tables), "rows": n_rows, "datasets": len(our_data), "differing": differing}
     if options.json:
         print(json.dumps(facts, default=str))
     else:
-        print(f"{len(tables)} tables with {n_rows} rows, {len(held)} datasets: {len(differing)} differ")
+        print(f"{len(tables)} tables with {n_rows} rows, {len(our_data)} datasets: {len(differing)} differ")
         print("\n".join(str(line)[:1000] for line in differing[:20]))
     return 1 if differing else 0
 

@@ -1,4 +1,4 @@
-"""How long a shot takes: cold (no reduction kept), with a new depth, and warm.
+"""Time of a shot: cold (no cached reduction), with a new depth, and warm.
 
     python benchmarks/shot_speed.py [--mesh] [--json]
 
@@ -35,7 +35,7 @@ MESHES = (48, 96, 144, 192)
 
 
 def seconds(work: Callable[[], object]) -> tuple[float, float]:
-    """Wall and processor time."""
+    """Return wall and processor time."""
     wall, processor = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - wall, time.process_time() - processor

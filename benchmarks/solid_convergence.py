@@ -1,4 +1,4 @@
-"""How far the solid plate's waveform is from that of finer meshes, and what a cold shot of it costs.
+"""Difference of the solid plate's waveform from finer meshes, and the cost of a cold shot.
 
     python benchmarks/solid_convergence.py [--depths 0 0.5 0.8] [--quick | --one-basis] [--json]
 
@@ -41,8 +41,8 @@ MESHES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cold:
-    """One cold shot."""
+class ColdShot:
+    """Cold shot."""
 
     unknowns: int
     processor_s: float
@@ -52,7 +52,7 @@ class Cold:
     amplitude_ratio: float
 
 
-def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
+def cold_shot(mesh: SolidMesh, depth: float) -> ColdShot:
     """Build, reduce and strike the paper's plate."""
     plate, patch = PlateParameters(model="solid", solid=mesh), CorrosionParameters(depth_fraction=depth)
     started = time.perf_counter(), time.process_time()
@@ -61,7 +61,7 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
     summary = summarise(shot)
     assert summary.tof_us is not None, "the wave comes back"
     assert summary.amplitude_ratio is not None, "the wave comes back"
-    return Cold(
+    return ColdShot(
         unknowns=len(build_solid_plate(plate, patch).load),
         processor_s=processor_s,
         wall_s=wall_s,
@@ -72,7 +72,7 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
 
 
 def rows(depths: list[float], names: list[str]) -> Iterator[dict[str, Any]]:
-    """Every mesh at every depth, compared with the last one."""
+    """Return every mesh at every depth, compared with the last one."""
     plate = PlateParameters(model="rigid_wall")
     ShotModel(ChainParameters(), plate, CorrosionParameters(), duration_s=RECORD_S).shot()  # compiles
     for depth in depths:

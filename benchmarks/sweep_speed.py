@@ -1,4 +1,4 @@
-"""Rows a second of a sweep: a loop of single shots against threads and processes.
+"""Rows per second of a sweep: a loop of single shots against threads and processes.
 
     python benchmarks/sweep_speed.py [--workers N] [--rows N] [--json]
 
@@ -40,7 +40,7 @@ SWEEPS = ("depths", "depths x heights", "zener")
 RUNS = 2
 
 
-def planned(sweep: str, rows: int, run: int) -> Plan:
+def plan_sweep(sweep: str, rows: int, run: int) -> Plan:
     """Plan a sweep whose depths no other run has."""
     shift = 1e-4 * (run + 1)
     side = max(2, round(rows**0.5))
@@ -58,7 +58,7 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
-def loop(plan: Plan) -> None:
+def run_loop(plan: Plan) -> None:
     for row in plan.rows:
         assert row.specimen is not None
         if plan.model == "zener":
@@ -67,7 +67,7 @@ def loop(plan: Plan) -> None:
             coupled_numbers(ShotModel(*row.specimen).shot())
 
 
-def computed(plan: Plan, executor: Executor, workers: int) -> None:
+def run_sweep(plan: Plan, executor: Executor, workers: int) -> None:
     kept: list[int] = []
     compute(
         plan,
@@ -86,15 +86,15 @@ def measure(sweep: str, rows: int, workers: int) -> dict[str, float]:
     def best(work: Callable[[Plan], None]) -> float:
         return max(
             len(plan.rows) / seconds(partial(work, plan))
-            for plan in [planned(sweep, rows, next(numbers)) for _ in range(RUNS)]
+            for plan in [plan_sweep(sweep, rows, next(numbers)) for _ in range(RUNS)]
         )
 
-    result = {"rows": float(len(planned(sweep, rows, 0).rows)), "loop_per_s": best(loop)}
+    result = {"rows": float(len(plan_sweep(sweep, rows, 0).rows)), "loop_per_s": best(run_loop)}
     kinds: list[tuple[str, int]] = [("threads", 1), ("threads", workers), ("processes", workers)]
     for kind, count in kinds:
         with opened_executor(kind, count) as executor:
-            work = partial(computed, executor=executor, workers=count)
-            result[f"{kind}_start_s"] = seconds(partial(work, planned(sweep, 40 * count, next(numbers))))
+            work = partial(run_sweep, executor=executor, workers=count)
+            result[f"{kind}_start_s"] = seconds(partial(work, plan_sweep(sweep, 40 * count, next(numbers))))
             result[f"{kind}_{count}_per_s"] = best(work)
     return result
 
@@ -105,7 +105,7 @@ def main() -> int:
     parser.add_argument("--rows", type=int, default=400, help="of each sweep, about (default: 400)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     arguments = parser.parse_args()
-    loop(planned("depths", 2, 999))  # compiles, reduces
+    run_loop(plan_sweep("depths", 2, 999))  # compiles, reduces
     results = {name: measure(name, arguments.rows, arguments.workers) for name in SWEEPS}
     if arguments.json:
         print(json.dumps(results))
@@ -114,8 +114,8 @@ def main() -> int:
         print(f"{name}: {result['rows']:.0f} rows")
         for key, value in result.items():
             if key.endswith("_per_s"):
-                told = key.removesuffix("_per_s").replace("_", " ")
-                print(f"  {told:12s} {value:7.0f} a second, x {value / result['loop_per_s']:.2f}")
+                label = key.removesuffix("_per_s").replace("_", " ")
+                print(f"  {label:12s} {value:7.0f} a second, x {value / result['loop_per_s']:.2f}")
         print(f"  starting the processes takes {result['processes_start_s']:.1f} s")
     return 0
 

@@ -1,4 +1,4 @@
-"""Cost of the twin from shot to verdict without recorder and storage, and of a shot with nuisance.
+"""Cost of the twin from shot to assessment without recorder and storage, and of a shot with variability.
 
     python benchmarks/twin_line.py                 three transducers for 350 h: 12,750 strikes, less a hole's
     python benchmarks/twin_line.py --hours 50 --demo
@@ -52,8 +52,8 @@ def settings_of(level: str, hours: float) -> Settings:
     return load_settings(None, overrides={"twin": {"nuisance": level}, "schedule": {"end_h": hours}})
 
 
-def line(hours: float) -> tuple[float, int]:
-    """Seconds and strikes of the whole experiment."""
+def run_line(hours: float) -> tuple[float, int]:
+    """Return seconds and strikes of the complete test."""
     warm = settings_of("laboratory", 1.0)
     specimen = specimen_of(warm)
     for position in POSITIONS:
@@ -63,13 +63,13 @@ def line(hours: float) -> tuple[float, int]:
     def work() -> None:
         nonlocal strikes
         for position in POSITIONS:
-            strikes += sum(len(judged.shots) for judged in assessed_sets(settings, position, specimen))
+            strikes += sum(len(assessed.shots) for assessed in assessed_sets(settings, position, specimen))
 
     return cpu_seconds(work), strikes
 
 
 def ratios() -> dict[str, float]:
-    """Cost of a shot at each level over that of one without nuisance, at the corroding B."""
+    """Return the cost of a shot at each level over that of one without variability, at the corroding B."""
     # The same plates for all: where their arrays lie in memory is worth a tenth.
     transducers = transducers_of(settings_of("none", 350.0))
     specimens = {
@@ -102,26 +102,27 @@ def main() -> int:
     parser.add_argument("--demo", action="store_true", help="also the demonstration's line")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
-    line_s, strikes = line(options.hours)
-    told: dict[str, Any] = {"line_s": line_s, "strikes": strikes, "ratios": ratios()}
+    line_s, strikes = run_line(options.hours)
+    report: dict[str, Any] = {"line_s": line_s, "strikes": strikes, "ratios": ratios()}
     if options.demo:
         from demo_speed import RECORDER, run_in_a_process
 
-        told["demo_s"] = run_in_a_process(RECORDER, options.hours)["processor_s"]
-    passed = max(told["ratios"].values()) <= LIMIT
+        report["demo_s"] = run_in_a_process(RECORDER, options.hours)["processor_s"]
+    passed = max(report["ratios"].values()) <= LIMIT
     if options.json:
-        print(json.dumps({**told, "passed": passed}))
+        print(json.dumps({**report, "passed": passed}))
         return 0 if passed else 1
     print(
         f"shots to verdicts: {line_s:.2f} s of processor for {strikes} strikes, "
         f"{1e3 * line_s / strikes:.3f} ms each"
     )
-    for level, ratio in told["ratios"].items():
+    for level, ratio in report["ratios"].items():
         print(f"a shot at {level}: {ratio:.3f} of one without nuisance")
     if options.demo:
-        ratio = told["demo_s"] / line_s
+        ratio = report["demo_s"] / line_s
         print(
-            f"the demonstration's line with its twin's process: {told['demo_s']:.2f} s, {ratio:.2f} times it"
+            f"the demonstration's line with its twin's process: {report['demo_s']:.2f} s, "
+            f"{ratio:.2f} times it"
         )
     return 0 if passed else 1
 

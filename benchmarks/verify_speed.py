@@ -1,4 +1,4 @@
-"""`solimon verify` in MB per CPU second, beside reading the same files otherwise, in one run.
+"""`solimon verify` in MB per CPU second, next to other readings of the same files, in one run.
 
     python benchmarks/verify_speed.py [--folder F] [--hours H] [--rounds R] [--json]
 
@@ -28,7 +28,7 @@ from daq_service.cli.maintenance.verify import verify_folder
 
 
 def cpu_s(work: Callable[[], object]) -> float:
-    """CPU seconds of this process."""
+    """Return CPU seconds of this process."""
     start = time.process_time()
     work()
     return time.process_time() - start
@@ -47,8 +47,8 @@ def read_with_h5py(paths: list[Path]) -> None:
             file.visititems(read)
 
 
-def measured(folder: Path, rounds: int) -> dict[str, float]:
-    """Least CPU seconds of each way."""
+def measure(folder: Path, rounds: int) -> dict[str, float]:
+    """Return the minimum CPU seconds of each way."""
     paths = sorted((folder / "sets").glob("*.h5"))
     known = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
     ways: dict[str, Callable[[], object]] = {
@@ -74,9 +74,19 @@ def main() -> None:
         folder = arguments.folder
         if folder is None:
             folder = Path(place) / "data"
-            words = ["demo", "--exit", "--no-web", "--hours", str(arguments.hours), "--data-dir", str(folder)]
-            subprocess.run([sys.executable, "-m", "daq_service.cli", *words], check=True, capture_output=True)
-        seconds = measured(folder, arguments.rounds)
+            command = [
+                "demo",
+                "--exit",
+                "--no-web",
+                "--hours",
+                str(arguments.hours),
+                "--data-dir",
+                str(folder),
+            ]
+            subprocess.run(
+                [sys.executable, "-m", "daq_service.cli", *command], check=True, capture_output=True
+            )
+        seconds = measure(folder, arguments.rounds)
         megabytes = sum(path.stat().st_size for path in (folder / "sets").glob("*.h5")) / 1e6
     rates = {name: megabytes / s for name, s in seconds.items()}
     ratios = {name: seconds["verify"] / seconds[name] for name in ("h5py_reads_all", "sha256_of_all")}

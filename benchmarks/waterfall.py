@@ -1,4 +1,4 @@
-"""The waterfall of a whole test from its tiles, beside vectorised numpy over its HDF5 files, in one run.
+"""Waterfall of a complete test from its tiles, next to vectorised numpy over its HDF5 files, in one run.
 
     python benchmarks/waterfall.py [--sets N] [--shots N] [--samples N] [--rows N] [--columns N] [--rounds R]
 
@@ -34,8 +34,8 @@ CALIBRATION = Calibration(coefficients_v=np.array([0.0, 10.0 / 32768]), resoluti
 PLANTED = -30_000
 
 
-def a_set(index: int, *, n_shots: int, n_samples: int, planted: bool) -> SetRecord:
-    """Pulses with noise, shot by shot."""
+def pulses_of_set(index: int, *, n_shots: int, n_samples: int, planted: bool) -> SetRecord:
+    """Return pulses with noise, shot by shot."""
     rng = np.random.default_rng(index)
     time_s = np.arange(n_samples) / 10e6
     shots = []
@@ -61,7 +61,7 @@ def a_set(index: int, *, n_shots: int, n_samples: int, planted: bool) -> SetReco
 
 
 class _Index:
-    """Every set is stored; nothing is asked for here but their number."""
+    """Index in which every set is stored; only their number is used."""
 
     def __init__(self, files: dict[int, SetReference]) -> None:
         self._files = files
@@ -79,7 +79,7 @@ class _Index:
 def with_numpy(
     folder: Path, files: dict[int, SetReference], width: int, row_sets: int
 ) -> NDArray[np.float32]:
-    """Least and greatest of each cell from the files, shape (2, rows, columns)."""
+    """Return minimum and maximum of each cell from the files, shape (2, rows, columns)."""
     planes = []
     for reference in files.values():
         with h5py.File(folder / reference) as file:
@@ -99,7 +99,7 @@ def with_numpy(
 
 
 def from_tiles(tiles: Tiles, folder_reader: WaterfallReader, index: _Index, wanted: Wanted) -> Picture:
-    """Draw it as the service does."""
+    """Draw the waterfall as the service does."""
     picture = folder_reader.picture(tiles, index, wanted)
     if picture.pending:
         raise SystemExit("the tiles lack a set")
@@ -125,7 +125,7 @@ def main() -> None:
         (folder / "sets").mkdir()
         archive, files, kept_s = FolderArchive(folder), {}, 0.0
         for index in range(given.sets):
-            record = a_set(
+            record = pulses_of_set(
                 index, n_shots=given.shots, n_samples=given.samples, planted=index == given.sets // 2
             )
             files[index] = archive.store_set(record).file

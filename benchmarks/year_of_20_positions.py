@@ -1,4 +1,4 @@
-"""A year of 20 positions (350,000 sensor-sets): what every route, `solimon status` and a start read of it.
+"""Year of 20 positions (350,000 sensor-sets): data read by every route, `solimon status` and a start.
 
     python benchmarks/year_of_20_positions.py [--folder F] [--sets N] [--rounds R] [--json]
 
@@ -84,7 +84,7 @@ STATUS, STARTS = "what `solimon status` reads", 3
 
 
 def year_settings() -> Settings:
-    """Give 20 positions and a set every half hour for as long as `SETS` takes."""
+    """Return 20 positions and a set every half hour for the duration of `SETS`."""
     positions: dict[str, Any] = {"P00": {"method": "pulse_echo"}}
     positions |= {f"P{number:02d}": {"method": "solitary_wave"} for number in range(1, 20)}
     phases = [{"until_h": SETS / 2, "interval_h": 0.5}]
@@ -95,7 +95,7 @@ def year_settings() -> Settings:
 
 
 def fill(folder: Path, settings: Settings, n_sets: int) -> None:
-    """Store sets as a recorder does, many in a transaction; names of files, and the last file itself."""
+    """Store sets as a recorder does, many per transaction; return file names, and the last file itself."""
     due_sets = plan(settings.schedule.phases, parse_utc(settings.clock.epoch))[:n_sets]
     rng, sequence = np.random.default_rng(0), 0
     with open_catalogue(folder, writer=True) as catalogue:
@@ -134,8 +134,8 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     LiveFigure(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
 
 
-def _told(index: int, drawn: list[float]) -> dict[str, Any]:
-    """Give what a recorder says and remembers of a judged set beside its distance: 1.5 kB of columns."""
+def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, Any]:
+    """Return chart, limits, diagnosis and state of an assessed set: 1.5 kB of columns."""
     change = tuple(1e-3 * drawn[k % len(drawn)] for k in range(len(COMPONENTS)))
     cause = Diagnosis(
         cause=OK,
@@ -163,16 +163,16 @@ def _told(index: int, drawn: list[float]) -> dict[str, Any]:
 def _add_set(
     commit: SetCommit, settings: Settings, due: DueSet, sequence: int, rng: np.random.Generator
 ) -> int:
-    """Add everything that a set says to a commit; return the sequence of its last shot."""
+    """Add all rows of a set to a commit; return the sequence of its last shot."""
     file = set_reference(due.set_index, due.due_utc_ns)
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
         own: dict[str, Any] = {"set_index": due.set_index, "position": position}
-        judged: dict[str, Any] = {**own, "due_h": due.due_h}
+        set_columns: dict[str, Any] = {**own, "due_h": due.due_h}
         missed = (due.set_index + number) % MISSED_EVERY == 0
         probe = place.method == "pulse_echo"
         extractor = ECHO_EXTRACTOR if probe else EXTRACTOR_VERSION
-        found: dict[str, Any] = {**judged, "extractor_version": extractor, "quality": "good"}
+        found: dict[str, Any] = {**set_columns, "extractor_version": extractor, "quality": "good"}
         n_planned = 1 if probe else settings.schedule.shots_per_set
         n_taken = 0 if missed else n_planned
         commit.sets.append(
@@ -193,7 +193,7 @@ def _add_set(
                 file_sha256=None if missed else f"{due.set_index:064x}",
             )
         )
-        _tell(commit, due, "sets", f"set_{commit.sets[-1].state}", commit.sets[-1])
+        _add_event(commit, due, "sets", f"set_{commit.sets[-1].state}", commit.sets[-1])
         for shot_index in range(n_taken):
             sequence += 1
             commit.shots.append(
@@ -219,16 +219,16 @@ def _add_set(
                 thickness_loss_m=6.35e-3 - wall_m, correlation_coefficient=0.98,
             )  # fmt: skip
             commit.thickness.append(read)
-            _tell(commit, due, "thickness", "thickness_read", read)
+            _add_event(commit, due, "thickness", "thickness_read", read)
             continue
         feature = _feature(found, values[number], n_taken)
         for shot_index in range(n_taken):
             shot = {**found, "shot_index": shot_index, "sequence": sequence - n_taken + 1 + shot_index}
             commit.features.append(_feature(shot, values[number], 1))
         commit.features.append(feature)
-        _tell(commit, due, "features", "set_features", feature)
+        _add_event(commit, due, "features", "set_features", feature)
         assessment = AssessmentRow(
-            **judged,
+            **set_columns,
             in_baseline=due.set_index < 48,
             distance_squared=5.0,
             limit_name="f_predictive",
@@ -236,17 +236,21 @@ def _add_set(
             limit_paper=12.1,
             outlier=None if due.set_index < 48 else False,
             contributions={"tof_pp_s": 1.0, "tof_ac_s": 1.0, "amplitude_ratio": 1.0},
-            **({} if due.set_index < 48 else _told(due.set_index, values[number].tolist())),
+            **(
+                {}
+                if due.set_index < 48
+                else _chart_and_diagnosis_columns(due.set_index, values[number].tolist())
+            ),
         )
         commit.assessments.append(assessment)
-        _tell(commit, due, "verdicts", "set_judged", assessment)
+        _add_event(commit, due, "verdicts", "set_judged", assessment)
     environment = EnvironmentRow(
         set_index=due.set_index, due_h=due.due_h, supply_state="on", supply_quality="good", supply_age_s=0.5,
         voltage_v=10.0, current_a=0.005, charge_coulomb=18.0 * due.due_h, climate_quality="good",
         temperature_c=21.5,
     )  # fmt: skip
     commit.environment.append(environment)
-    _tell(commit, due, "environment", "environment_read", environment)
+    _add_event(commit, due, "environment", "environment_read", environment)
     if due.set_index % ALARM_EVERY == 0:
         alarm = AlarmRow(
             position="P01", kind="no_data", family="device", severity="medium", raised_utc_ns=due.due_utc_ns,
@@ -254,7 +258,7 @@ def _add_set(
             raised_set_index=due.set_index, changed_utc_ns=due.due_utc_ns, message="2 sets running", proof={},
         )  # fmt: skip
         commit.alarms.append(alarm)
-        _tell(commit, due, "alarms", "alarm_raised", alarm)
+        _add_event(commit, due, "alarms", "alarm_raised", alarm)
     return sequence
 
 
@@ -269,7 +273,7 @@ def _feature(found: dict[str, Any], noise: Any, n_valid: int) -> FeatureRow:
     )  # fmt: skip
 
 
-def _tell(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) -> None:
+def _add_event(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) -> None:
     commit.events.append(
         EventRow(
             utc_ns=due.due_utc_ns,
@@ -284,7 +288,7 @@ def _tell(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) -> No
 
 
 def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
-    """Give a set with records, so that waveforms can be read; sequences count from ``first``."""
+    """Return a set with records, so that waveforms can be read; sequences count from ``first``."""
     rng, records, echo = np.random.default_rng(first), list[Any](), settings.twin.echo
     for position, place in settings.positions.items():
         for shot_index in range(1 if place.method == "pulse_echo" else settings.schedule.shots_per_set):
@@ -330,24 +334,24 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
 
 @dataclass(frozen=True, slots=True)
 class Seconds:
-    """What an answer took: on the clock, and of the processor, which other people's work changes less."""
+    """Wall time and processor time of a call; other people's work changes the latter less."""
 
     wall: float
     cpu: float
-    told: str
+    call: str
 
 
 def _now() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
 
 
-def _since(began: tuple[float, float], told: str = "") -> Seconds:
+def _since(began: tuple[float, float], call: str = "") -> Seconds:
     wall, cpu = _now()
-    return Seconds(wall - began[0], cpu - began[1], told)
+    return Seconds(wall - began[0], cpu - began[1], call)
 
 
 def times_s(function: Callable[[], object], rounds: int) -> list[Seconds]:
-    """Seconds of each call."""
+    """Return the seconds of each call."""
     taken = []
     for _ in range(rounds):
         began = _now()
@@ -357,14 +361,14 @@ def times_s(function: Callable[[], object], rounds: int) -> list[Seconds]:
 
 
 def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
-    """Give ways to ask for a route: as it is, filtered, first and deep pages come by the cursors."""
+    """Return queries of a route: plain, filtered, first and deep pages by the cursors."""
     end_h = n_sets / 2
     middle, position = round(chance.uniform(0.0, end_h), 1), f"P{chance.randrange(20):02d}"
     index = chance.randrange(n_sets)
     hours = [f"from_h={middle}", f"to_h={middle}", f"from_h={middle}&to_h={middle + 24}", "to_h=1",
              f"from_h={end_h - 1}"]  # fmt: skip
     named = [f"position={position}", *(f"position={position}&{part}" for part in hours)]
-    asked = {
+    queries_by_path = {
         "sets": [*hours, *named, "state=missed", "state=retired", f"state=missed&position={position}",
                  f"state=done&position={position}", f"state=missed&from_h={middle}"],
         "features": [*hours, *named, f"set_index={index}", f"set_index={index}&{named[0]}",
@@ -387,11 +391,11 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
     path = path.replace("{alarm_id}", str(chance.randint(1, 1 + (n_sets - 1) // ALARM_EVERY)))
     path = path.replace("{command_id}", str(chance.randrange(1, COMMANDS)))
     path = path.replace("{position}", "P00" if "live" in path else position)
-    return [path, *(f"{path}?{query}" for query in asked.get(path.rpartition("/")[2], []))]
+    return [path, *(f"{path}?{query}" for query in queries_by_path.get(path.rpartition("/")[2], []))]
 
 
 async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -> dict[str, list[Seconds]]:
-    """Seconds of every answer by route, without a socket, and of the stream's catch-up."""
+    """Return seconds of every answer by route, without a socket, and of the stream's catch-up."""
     app, chance = create_app(settings, folder), random.Random(0)
     taken: dict[str, list[Seconds]] = {}
     transport = httpx.ASGITransport(app)
@@ -403,8 +407,10 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
             if "get" not in methods or path.startswith(LEFT_OUT):
                 continue
             for _ in range(rounds):
-                for asked in queries(path, n_sets, chance):
-                    taken.setdefault(path, []).extend([took async for took in _pages_s(client, asked)])
+                for queries_by_path in queries(path, n_sets, chance):
+                    taken.setdefault(path, []).extend(
+                        [took async for took in _pages_s(client, queries_by_path)]
+                    )
             while len(taken[path]) < FEWEST_A_ROUND * rounds:
                 taken[path].extend(
                     [took async for took in _pages_s(client, queries(path, n_sets, chance)[0])]
@@ -422,9 +428,9 @@ async def routes_s(folder: Path, settings: Settings, n_sets: int, rounds: int) -
     return taken
 
 
-async def _pages_s(client: httpx.AsyncClient, asked: str) -> AsyncIterator[Seconds]:
-    """Seconds of the first pages of a listing, or of the one answer."""
-    url = httpx.URL(asked)
+async def _pages_s(client: httpx.AsyncClient, queries_by_path: str) -> AsyncIterator[Seconds]:
+    """Yield seconds of the first pages of a listing, or of the one answer."""
+    url = httpx.URL(queries_by_path)
     for _ in range(PAGES):
         began = _now()
         answer = await client.get(url)
@@ -438,7 +444,7 @@ async def _pages_s(client: httpx.AsyncClient, asked: str) -> AsyncIterator[Secon
 
 
 def start_s(folder: Path, settings: Settings) -> dict[str, float]:
-    """Seconds of what a start reads, by stage."""
+    """Return seconds of the reads at a start, by stage."""
     taken: dict[str, float] = {}
     began = time.perf_counter()
 
@@ -482,7 +488,7 @@ PLAIN = {
 
 
 def plain_s(folder: Path, statements: tuple[str, ...]) -> float:
-    """Seconds of reading the same by scans, without making objects of the rows."""
+    """Return seconds of reading the same by scans, without making objects of the rows."""
     with closing(sqlite3.connect(f"file:{folder / 'catalogue.sqlite'}?mode=ro", uri=True)) as connection:
         began = time.perf_counter()
         for statement in statements:
@@ -491,8 +497,8 @@ def plain_s(folder: Path, statements: tuple[str, ...]) -> float:
         return time.perf_counter() - began
 
 
-def measured(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
-    """Everything that is printed."""
+def measure(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
+    """Return everything that is printed."""
     settings = year_settings()
     if not (folder / "catalogue.sqlite").exists():
         fill(folder, settings, n_sets)
@@ -536,7 +542,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         folder = options.folder or Path(place)
         folder.mkdir(parents=True, exist_ok=True)
-        facts = measured(folder, options.sets, options.rounds)
+        facts = measure(folder, options.sets, options.rounds)
     if options.json:
         print(json.dumps(facts))
         return

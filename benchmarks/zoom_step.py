@@ -45,8 +45,8 @@ CATEGORIES = ["devtools.timeline", "v8", "blink.user_timing"]
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
-    """Serve a folder in a process of its own; its address."""
+def serve_folder(folder: Path) -> Iterator[str]:
+    """Serve a folder in a process of its own; yield its address."""
     config = folder / "test.json"
     config.write_text(one_position().model_dump_json(), encoding="utf-8")
     command = [
@@ -72,7 +72,7 @@ def served(folder: Path) -> Iterator[str]:
 
 
 def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]:
-    """Milliseconds of script in each step, by the thread's own clock; script within script counts once.
+    """Return milliseconds of script in each step, by the thread's own clock; nested script counts once.
 
     Parameters
     ----------
@@ -96,15 +96,15 @@ def script_ms(trace: dict[str, Any], within_ms: float = math.inf) -> list[float]
             and first <= other["ts"] < min(last, first + 1e3 * within_ms)
         ]
         until, total = 0, 0
-        for begun, ended in sorted(of_page):
-            total += max(0, ended - max(begun, until))
+        for started, ended in sorted(of_page):
+            total += max(0, ended - max(started, until))
             until = max(until, ended)
         taken.append(total / 1e3)
     return taken
 
 
-def stepped(page: Any, number: int, do: Callable[[], None]) -> None:
-    """Do one step, and let what it asks for come and be drawn; a step that changes nothing is none."""
+def perform_step(page: Any, number: int, do: Callable[[], None]) -> None:
+    """Perform one step, and wait until its data is drawn; a step that changes nothing does not count."""
     before = page.evaluate(SPAN)
     page.evaluate(f"performance.mark('step {number} begins')")
     do()
@@ -114,7 +114,7 @@ def stepped(page: Any, number: int, do: Callable[[], None]) -> None:
         raise SystemExit(f"step {number} did not move the chart from {before}")
 
 
-def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
+def measure(url: str, browser: str, steps: int) -> dict[str, Any]:
     """Zoom in and out, then pan to and fro."""
     from playwright.sync_api import sync_playwright
 
@@ -135,14 +135,16 @@ def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
         page.mouse.wheel(0, -200)
         running.start_tracing(page=page, categories=CATEGORIES)
         for number in range(steps):
-            stepped(page, number, lambda number=number: page.mouse.wheel(0, -100 if number % 12 < 6 else 100))
+            perform_step(
+                page, number, lambda number=number: page.mouse.wheel(0, -100 if number % 12 < 6 else 100)
+            )
         zoomed = json.loads(running.stop_tracing())
         page.mouse.wheel(0, -200)
         page.locator(f"#{CHART} .plot").focus()
         running.start_tracing(page=page, categories=CATEGORIES)
         for number in range(steps):
             key = "ArrowLeft" if number % 4 < 2 else "ArrowRight"
-            stepped(page, number, lambda key=key: page.keyboard.press(f"Shift+{key}"))
+            perform_step(page, number, lambda key=key: page.keyboard.press(f"Shift+{key}"))
         panned = json.loads(running.stop_tracing())
         running.close()
     return {
@@ -157,7 +159,7 @@ def measured(url: str, browser: str, steps: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr] # it is there
     parser.add_argument("--sets", type=int, default=20_000)
     parser.add_argument("--steps", type=int, default=60)
@@ -168,17 +170,17 @@ def main() -> None:
         raise SystemExit("no Chromium is installed; install one, or name it with --browser")
     with tempfile.TemporaryDirectory() as name:
         fill(Path(name), chosen.sets)
-        with served(Path(name)) as url:
-            found = measured(url, chosen.browser, chosen.steps)
+        with serve_folder(Path(name)) as url:
+            found = measure(url, chosen.browser, chosen.steps)
     if chosen.json:
         print(json.dumps(found))
         return
-    for name, told in found.items():
+    for name, times in found.items():
         itself, last = (
-            f"median {told[f'{part}_median_ms']:.1f} ms, greatest {told[f'{part}_greatest_ms']:.1f} ms"
+            f"median {times[f'{part}_median_ms']:.1f} ms, greatest {times[f'{part}_greatest_ms']:.1f} ms"
             for part in ("step", "last_step")
         )
-        print(f"{name:<6}{told['steps']} steps, script of each: {itself}; with what it asks for: {last}")
+        print(f"{name:<6}{times['steps']} steps, script of each: {itself}; with what it asks for: {last}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Bounds of parameters, written once beside the value they bound.
+"""Bounds of parameters, written once next to the value they bound.
 
 The bounds are `annotated_types` metadata. A class decorated with `bounded` enforces them for callers in
 Python, and a configuration model that embeds it enforces the same ones while reading a file.
@@ -36,7 +36,7 @@ _resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
 def _bounds(parameters: type) -> dict[str, list[_Bound]]:
-    """Resolve the bounds of a class once: every shot with its own scatter checks them."""
+    """Return the bounds of a class, resolved once: every shot with its own scatter checks them."""
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
         _resolved[parameters] = {field.name: _of_hint(hints[field.name]) for field in fields(parameters)}
@@ -44,14 +44,14 @@ def _bounds(parameters: type) -> dict[str, list[_Bound]]:
 
 
 def _of_hint(hint: Any) -> list[_Bound]:
-    """Bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
+    """Return the bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
     marks = getattr(hint, "__metadata__", ())
     if not marks:
         marks = [mark for part in get_args(hint) for mark in getattr(part, "__metadata__", ())]
     return [
-        (words, getattr(mark, attribute), holds)
+        (relation, getattr(mark, attribute), holds)
         for mark in marks
-        for kind, attribute, words, holds in _COMPARISONS
+        for kind, attribute, relation, holds in _COMPARISONS
         if isinstance(mark, kind)
     ]
 
@@ -62,7 +62,7 @@ def check_bounds(parameters: Any) -> None:
 
 
 def check_values(parameters: type, values: Mapping[str, Any]) -> None:
-    """Raise as `check_bounds` does for values by name that could stand in such parameters."""
+    """Raise as `check_bounds` does for values by name, before the parameters are made."""
     bounds = _bounds(parameters)
     _check((name, bounds[name], value) for name, value in values.items())
 
@@ -73,12 +73,12 @@ def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
             continue
         if isinstance(value, float) and not math.isfinite(value):
             raise ValueError(f"{name} is {value}; it must be a finite number")
-        for words, limit, holds in bounds:
+        for relation, limit, holds in bounds:
             if not holds(value, limit):
-                raise ValueError(f"{name} is {value}; it must be {words} {limit}")
+                raise ValueError(f"{name} is {value}; it must be {relation} {limit}")
 
 
-def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "") -> None:
+def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
     """Raise ValueError unless one value is ``at least``, ``later than``, ``below`` or ``less than`` another.
 
     Parameters
@@ -89,23 +89,23 @@ def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "
         As printed behind a value, with its space.
     """
     value, limit = getattr(parameters, name), getattr(parameters, other)
-    if not _PAIRS[words](value, limit):
-        raise ValueError(f"{name} is {value}{unit}; it must be {words} {other} ({limit}{unit})")
+    if not _PAIRS[relation](value, limit):
+        raise ValueError(f"{name} is {value}{unit}; it must be {relation} {other} ({limit}{unit})")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
 def bounded(parameters: type[Parameters]) -> type[Parameters]:
-    """Make a frozen dataclass with slots and keywords whose values obey the bounds beside them.
+    """Make a frozen dataclass with slots and keywords whose values obey their bounds.
 
     What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
     own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys.
     """
     own_checks: Callable[[Parameters], None] | None = parameters.__dict__.get("__post_init__")
 
-    def check(made: Parameters) -> None:
-        check_bounds(made)
+    def check(parameters_object: Parameters) -> None:
+        check_bounds(parameters_object)
         if own_checks is not None:
-            own_checks(made)
+            own_checks(parameters_object)
 
     untyped: Any = parameters
     untyped.__post_init__ = check

@@ -1,4 +1,4 @@
-"""How supply and climate are set, logged and watched, whatever instrument measures them."""
+"""Parameters of supply and climate: setpoints, logging and monitoring, for any instrument."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WATCH_KEYS = LOG_KEYS | {
 
 @bounded
 class DriveParameters(ABC):
-    """The electrochemical drive: what is asked of its supply, and what is done when that is not so."""
+    """Corrosion supply: its setpoint, and the reaction when that is not reached."""
 
     voltage_v: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
     """Voltage of the drive (paper: 10 V)."""
@@ -68,7 +68,7 @@ class DriveParameters(ABC):
     @property
     @abstractmethod
     def longest_order_s(self) -> float:
-        """Longest time that an order takes, and switching off again where it fails."""
+        """Return the longest time of a command, and of switching off again where it fails."""
 
     def require_within_caps(self, voltage_v: float, current_limit_a: float) -> None:
         """Check a command before anything is sent.
@@ -101,7 +101,7 @@ class DriveParameters(ABC):
 
 @bounded
 class NamedSupply(DriveParameters):
-    """The drive by an instrument of `[rig.instruments]`; `[rig.supply]` is one that speaks text."""
+    """Supply by an instrument of `[rig.instruments]`; `[rig.supply]` is one with a text protocol."""
 
     instrument: str
     """Its name there; the instrument serves as nothing else."""
@@ -113,13 +113,13 @@ class NamedSupply(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Longest time that an order takes, and switching off again where it fails."""
+        """Return the longest time of a command, and of switching off again where it fails."""
         return 2.0 * self.order_timeout_s
 
 
 @bounded
 class LogParameters:
-    """How the climate beside the specimen is logged."""
+    """Logging of the climate next to the specimen."""
 
     log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
     """Seconds between two readings."""
@@ -131,7 +131,7 @@ class LogParameters:
 
 @bounded
 class NamedClimateProbe(LogParameters):
-    """The climate by an instrument of `[rig.instruments]`; `[rig.climate]` is one that speaks text."""
+    """Climate probe by an instrument of `[rig.instruments]`; `[rig.climate]` is one with a text protocol."""
 
     instrument: str
     """Its name there."""

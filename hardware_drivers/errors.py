@@ -1,4 +1,4 @@
-"""Errors an instrument may raise.
+"""Errors that an instrument may raise.
 
 ::
 
@@ -17,23 +17,23 @@ from __future__ import annotations
 
 
 class InstrumentError(Exception):
-    """Anything an instrument reports; catch the subclasses to decide what to do."""
+    """Base class of the errors of an instrument; catch the subclasses to decide what to do."""
 
 
 class ConfigurationError(InstrumentError):
-    """The request contradicts the hardware or itself; repeating it cannot help."""
+    """Error: the request contradicts the hardware or itself; a repeat cannot help."""
 
 
 class UnknownStatusError(ConfigurationError):
-    """A vendor's status that no table names: nobody knows whether asking again helps."""
+    """Error: a vendor's status that no table names; whether a repeat helps is unknown."""
 
 
 class BusyError(InstrumentError):
-    """Another owner holds the resource."""
+    """Error: another owner holds the resource."""
 
 
 class AcquisitionTimeoutError(InstrumentError):
-    """No record arrived within the deadline: the strike was missed.
+    """Error: no record arrived within the deadline, so the strike was missed.
 
     Attributes
     ----------
@@ -45,4 +45,4 @@ class AcquisitionTimeoutError(InstrumentError):
 
 
 class ConnectionLostError(InstrumentError):
-    """The instrument stopped answering; a fresh connection may help."""
+    """Error: the instrument stopped responding; a fresh connection may help."""

@@ -1,4 +1,4 @@
-"""Who can make a measurement: small Protocols, and a Rig that is the set of them.
+"""Instruments as small Protocols, and the Rig, which is a set of them.
 
 Simulated, recorded and real instruments are siblings behind these Protocols and pass the same
 contract suites (``hardware_drivers/conformance``). Every blocking call is bounded by ``timeout_s``.
@@ -15,7 +15,7 @@ from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading,
 
 
 def require_timeout(timeout_s: float) -> None:
-    """Refuse a deadline that is none.
+    """Raise for a timeout that is not a positive finite number.
 
     Raises
     ------
@@ -28,14 +28,14 @@ def require_timeout(timeout_s: float) -> None:
 
 @runtime_checkable
 class Clock(Protocol):
-    """The experiment's time. Driver deadlines use the monotonic clock of the machine instead."""
+    """Clock of the test. Driver deadlines use the monotonic clock of the machine instead."""
 
     def utc_ns(self) -> int:
-        """Experiment time, ns since 1970-01-01T00:00Z."""
+        """Return test time, ns since 1970-01-01T00:00Z."""
         ...
 
     def mono_ns(self) -> int:
-        """Monotonic experiment time in ns; never steps back within one ``boot_id``."""
+        """Return monotonic test time in ns; never steps back within one ``boot_id``."""
         ...
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
@@ -49,7 +49,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Acquired:
-    """What a digitizer or pulse-echo unit hands over.
+    """Record from a digitizer or pulse-echo unit.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Acquired:
 
 @runtime_checkable
 class Digitizer(Protocol):
-    """Samples one transducer's sensor around a trigger."""
+    """Digitizer that samples one transducer's sensor around a trigger."""
 
     def arm(self, key: ShotKey) -> None:
         """Start waiting for the trigger; the pre-trigger buffer fills in time for the wave.
@@ -100,7 +100,7 @@ class Digitizer(Protocol):
 
 @runtime_checkable
 class Striker(Protocol):
-    """Lifts and drops one striker by a pulse of bounded length."""
+    """Striker that lifts and drops a mass by a pulse of bounded length."""
 
     def strike(self, key: ShotKey) -> None:
         """Pulse the coil once; on return it is off.
@@ -119,7 +119,7 @@ class Striker(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Echo(Acquired):
-    """A pulse-echo record and the receiver settings it was taken with."""
+    """Pulse-echo record and its receiver settings."""
 
     gain_db: float = 0.0
     offset_v: float = 0.0
@@ -128,7 +128,7 @@ class Echo(Acquired):
 
 @runtime_checkable
 class PulseEchoUnit(Protocol):
-    """Fires an ultrasonic probe and returns one averaged record."""
+    """Pulse-echo unit that fires an ultrasonic probe and returns one averaged record."""
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Fire, average, return.
@@ -145,7 +145,7 @@ class PulseEchoUnit(Protocol):
 
 @runtime_checkable
 class PowerSupply(Protocol):
-    """The electrochemical drive. Only `energise` switches it on, and only a person asks for that."""
+    """Corrosion supply. Only `energise` switches it on, and only a person requests that."""
 
     def read(self, timeout_s: float) -> SupplyReading:
         """Measure voltage and current; never switches anything.
@@ -180,16 +180,16 @@ class PowerSupply(Protocol):
         ...
 
     def identity(self) -> Mapping[str, str]:
-        """Maker, model, serial number and firmware, as the supply tells them."""
+        """Return maker, model, serial number and firmware, as the supply reports them."""
         ...
 
 
 @runtime_checkable
 class ClimateProbe(Protocol):
-    """Thermometer and hygrometer beside the specimen."""
+    """Thermometer and hygrometer next to the specimen."""
 
     def read(self, timeout_s: float) -> ClimateReading:
-        """Temperature and humidity now.
+        """Measure temperature and humidity.
 
         Raises
         ------
@@ -201,10 +201,10 @@ class ClimateProbe(Protocol):
 
 @runtime_checkable
 class SelfCalibrating(Protocol):
-    """An instrument that adjusts itself to its temperature; between sets only."""
+    """Instrument that adjusts itself to its temperature; between sets only."""
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate, read the scaling again, and say what was done (serial number: date and temperature).
+        """Calibrate, read the scaling, and return a summary (serial number: date and temperature).
 
         Raises
         ------
@@ -216,8 +216,8 @@ class SelfCalibrating(Protocol):
         ...
 
 
-class Asking:
-    """What an instrument asks a person to do, on its way to whoever shows it."""
+class PersonRequests:
+    """Requests of an instrument to a person, and their listeners."""
 
     def __init__(self) -> None:
         self._text = ""
@@ -225,15 +225,15 @@ class Asking:
         self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
 
     def listen(self, hear: Callable[[str, ShotKey | None], None]) -> None:
-        """Let someone hear from now on: what is asked (empty: nothing any more), and for which shot."""
+        """Add a listener for requests (empty: nothing to do any more) and their shot."""
         self._hear = hear
 
     def about(self, key: ShotKey) -> None:
-        """Say which shot comes."""
+        """Set the shot that comes next."""
         self._key = key
 
     def ask(self, text: str) -> None:
-        """Ask; the same words twice are said once."""
+        """Make a request; the same text twice is sent once."""
         if text != self._text:
             self._text = text
             self._hear(text, self._key)
@@ -241,7 +241,7 @@ class Asking:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig:
-    """The instruments of one experiment; a context manager that leaves everything safe.
+    """Instruments of one test; a context manager that leaves everything safe.
 
     Attributes
     ----------
@@ -267,7 +267,7 @@ class Rig:
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
     self_calibration_interval_h: float = 0.0
-    asking: Asking = field(default_factory=Asking)
+    asking: PersonRequests = field(default_factory=PersonRequests)
     dry_run: bool = False
     identity: Mapping[str, str] = field(default_factory=dict)
 
@@ -278,7 +278,7 @@ class Rig:
         self.make_safe()
 
     def make_safe(self) -> None:
-        """De-energise strikers, then disarm; the coil comes first whatever the digitizer says."""
+        """De-energise strikers, then disarm; the coil is switched off even if the digitizer fails."""
         try:
             self.striker.make_safe()
         finally:

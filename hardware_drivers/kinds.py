@@ -1,4 +1,4 @@
-"""Kinds of instruments: what a package offers, so that a configuration can name it. The whole interface.
+"""Kinds of instruments that a package offers to configurations. The complete interface.
 
 A distribution offers a kind by one entry point for each role that it can take, all with the same name and
 the same object::
@@ -66,16 +66,16 @@ State = Literal["ok", "warn", "fail"]
 
 
 def _no_person(what: str) -> None:
-    """Take what a person should do where there is none to tell."""
+    """Ignore a request to a person where there is none."""
 
 
 def _no_listener(what: str, begins: bool) -> None:
-    """Take what takes long where there is nobody to tell."""
+    """Ignore the notice of a long operation where nothing listens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
-    """What an instrument is told when it is opened or looked at.
+    """Context in which an instrument is opened or checked.
 
     Attributes
     ----------
@@ -111,17 +111,17 @@ class Opening:
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """Every position it serves in any role, once, in order."""
+        """Return every position it serves in any role, once, in order."""
         return tuple(dict.fromkeys(name for names in self.serves.values() for name in names))
 
     def stamp(self) -> Stamp:
-        """Now, as readings of supply and climate are stamped."""
+        """Return the present time stamp for readings of supply and climate."""
         return Stamp(utc_ns=self.clock.utc_ns(), mono_ns=self.clock.mono_ns(), boot_id=self.boot_id)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Opened:
-    """An instrument that is ready, by the roles that `Opening.serves` asked of it.
+    """Opened instrument, by the roles that `Opening.serves` requested.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Opened:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing that was looked at: how it stands, what to do.
+    """Result of one check: state and remedy.
 
     Attributes
     ----------
@@ -173,8 +173,8 @@ class Finding:
     values: Mapping[str, float | str | bool | None] = field(default_factory=dict)
 
 
-def failed(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
-    """Give the finding that an error means; a message of this project ends in its remedy.
+def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
+    """Return the finding of an error; a message of this project ends in its remedy.
 
     Parameters
     ----------
@@ -196,17 +196,17 @@ def _no_packages(parameters: Any) -> Iterable[str]:
     return ()
 
 
-def _no_longer(parameters: Any) -> float:
+def _no_extra_time(parameters: Any) -> float:
     return 0.0
 
 
 def _serves_anything(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Refuse nothing: the parameters name no positions."""
+    """Accept all positions: the parameters name none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Kind(Generic[P]):
-    """One kind of instrument: its parameters, how it is opened, what `solimon doctor` looks at.
+    """Kind of instrument: its parameters, how it is opened, what `solimon doctor` checks.
 
     Attributes
     ----------
@@ -235,6 +235,6 @@ class Kind(Generic[P]):
     open: Callable[[P, Opening], AbstractContextManager[Opened]]
     check: Callable[[P, Opening], Iterable[Finding]]
     packages: Callable[[P], Iterable[str]] = _no_packages
-    longest_call_s: Callable[[P], float] = _no_longer
+    longest_call_s: Callable[[P], float] = _no_extra_time
     reached_by: frozenset[str] = frozenset()
     require: Callable[[P, Mapping[Role, tuple[str, ...]]], None] = _serves_anything

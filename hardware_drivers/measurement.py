@@ -1,4 +1,4 @@
-"""What a measurement is: frozen records of raw counts with the calibration that turns them into volts.
+"""Measurements: frozen records of raw counts with the calibration that turns them into volts.
 
 Counts are the truth, volts are derived. Arrays are copied once and made read-only, so a record can
 travel from the digitizer to the archive and the analysis without anyone changing it.
@@ -27,7 +27,7 @@ def _read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration:
-    """How an ADC's counts become volts.
+    """Conversion of an ADC's counts into volts.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Calibration:
         object.__setattr__(self, "coefficients_v", _read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
-        """Turn counts of any shape into volts of the same shape."""
+        """Convert counts of any shape into volts of the same shape."""
         code = counts.astype(np.float64)
         # Horner's rule in place, as numpy's polyval computes it: every shot passes here.
         volts: NDArray[np.float64] = self.coefficients_v[-1] * code
@@ -71,14 +71,14 @@ class Calibration:
 
     @property
     def full_scale_counts(self) -> tuple[int, int]:
-        """Lowest and highest code of the ADC."""
+        """Return the lowest and highest code of the ADC."""
         half = 1 << (self.resolution_bits - 1)
         return -half, half - 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Waveform:
-    """One finite record of one channel.
+    """Finite record of one channel.
 
     Attributes
     ----------
@@ -110,17 +110,17 @@ class Waveform:
         object.__setattr__(self, "counts", _read_only(counts))
 
     def volts(self) -> NDArray[np.float64]:
-        """Record in volts, shape (n_samples,)."""
+        """Return the record in volts, shape (n_samples,)."""
         return self.calibration.volts(self.counts)
 
     def time_s(self) -> NDArray[np.float64]:
-        """Time of each sample from the trigger in s, shape (n_samples,)."""
+        """Return the time of each sample from the trigger in s, shape (n_samples,)."""
         index = np.arange(self.counts.size) - self.pretrigger_samples
         return index / self.sample_rate_hz
 
     @property
     def clipped(self) -> bool:
-        """True if any sample sits at an end of the ADC's range.
+        """Return whether any sample is at an end of the ADC's range.
 
         Some boards clip at the same code on both sides, one short of the lowest: that counts too.
         """
@@ -138,19 +138,19 @@ Purpose = Literal["planned", "confirmation"]
 
 
 def purpose_of(set_index: int) -> Purpose:
-    """Tell what a set is taken for."""
+    """Return the purpose of a set."""
     return "planned" if set_index < PLANNED_SETS else "confirmation"
 
 
 def in_order(set_index: int) -> tuple[int, int]:
-    """Planned set, and which set beside the plan after it (0: none): sorts sets by time."""
-    beside, planned = divmod(set_index, PLANNED_SETS)
-    return planned, beside
+    """Return the scheduled set and the number of the unscheduled one after it (0: none), to sort by time."""
+    unscheduled, planned = divmod(set_index, PLANNED_SETS)
+    return planned, unscheduled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotKey:
-    """Which shot is meant: the name a rig is asked for and the key of the twin's random numbers."""
+    """Key of a shot in a rig, and of the twin's random numbers."""
 
     position: str
     set_index: int
@@ -165,7 +165,7 @@ class ShotKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamp:
-    """When something was recorded: experiment UTC, monotonic time and the boot it belongs to."""
+    """Time of a record: test UTC, monotonic time and the boot it belongs to."""
 
     utc_ns: int
     mono_ns: int
@@ -173,8 +173,8 @@ class Stamp:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Taken:
-    """A record with its place in the order, and what is known of it.
+class _Record:
+    """Record with its position in the sequence and its metadata.
 
     Attributes
     ----------
@@ -200,15 +200,15 @@ class _Taken:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shot(_Taken):
-    """One strike of one transducer and the record it left."""
+class Shot(_Record):
+    """Strike of one transducer and its record."""
 
     method: ClassVar[Method] = SOLITARY_WAVE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseEchoRecord(_Taken):
-    """One averaged ultrasonic record of one position.
+class PulseEchoRecord(_Record):
+    """Averaged ultrasonic record of one position.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class PulseEchoRecord(_Taken):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupplyReading:
-    """What the electrochemical supply measured."""
+    """Measurement of the electrochemical supply."""
 
     stamp: Stamp
     voltage_v: float
@@ -238,7 +238,7 @@ class SupplyReading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClimateReading:
-    """Air at the specimen.
+    """Measurement of the air at the specimen.
 
     Attributes
     ----------

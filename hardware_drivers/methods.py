@@ -1,4 +1,4 @@
-"""Names of the measuring methods; every record knows its own."""
+"""Names of the measuring methods; every record names its own."""
 
 from typing import Final, Literal
 

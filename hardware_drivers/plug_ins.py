@@ -1,4 +1,4 @@
-"""Kinds of instruments that are installed here, found by their entry points; solimon's own are no exception.
+"""Installed kinds of instruments, found by their entry points; solimon's own included.
 
 Finding reads the metadata of installed distributions; only a kind that is asked for is imported.
 """
@@ -20,7 +20,7 @@ OURS = "solimon"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offer:
-    """A kind as distributions offer it, not imported yet.
+    """Kind as offered by distributions, not imported yet.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Offer:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """What it can be in a rig."""
+        """Return the roles it can have in a rig."""
         return tuple(self.by_role)
 
     def load(self) -> Kind[Any]:
@@ -77,13 +77,13 @@ class Offer:
 
 
 def offers() -> Mapping[str, Offer]:
-    """Every kind that is offered here, by its name."""
+    """Return every installed kind by its name."""
     return _offers(tuple(sys.path))
 
 
 @lru_cache(maxsize=1)
 def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
-    """Look once for a path: what is installed there stays while a process runs."""
+    """Return the kinds of a path, read once: installed packages stay while a process runs."""
     found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
     every = entry_points()
     for role in ROLES:
@@ -97,29 +97,30 @@ def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
 
 
 def find_kind(name: str) -> tuple[Kind[Any], Offer]:
-    """Give the kind of a name, and who offers it.
+    """Return the kind of a name, and its offer.
 
     Raises
     ------
     ConfigurationError
         Nobody offers it, or as `Offer.load`.
     """
-    there = offers()
-    if name not in there:
+    known = offers()
+    if name not in known:
         raise ConfigurationError(
-            f"no installed package offers the kind {name!r}; there are: {_told(there.values())}; install the "
-            "package that offers it beside solimon (python -m pip install PACKAGE), or correct the name"
+            f"no installed package offers the kind {name!r}; there are: "
+            f"{_names_text(known.values())}; install the package that offers it beside solimon "
+            "(python -m pip install PACKAGE), or correct the name"
         )
-    return there[name].load(), there[name]
+    return known[name].load(), known[name]
 
 
-def _told(there: Iterable[Offer]) -> str:
-    """Name the kinds; those of others with the package that they come from."""
-    told = []
-    for offer in there:
+def _names_text(known: Iterable[Offer]) -> str:
+    """Return the names of the kinds; those of others with their package."""
+    names = []
+    for offer in known:
         package = offer.distributions[0]
-        told.append(offer.name if package.startswith(f"{OURS} ") else f"{offer.name} ({package})")
-    return ", ".join(told) or f"none, not even those of {OURS} itself: install {OURS} again"
+        names.append(offer.name if package.startswith(f"{OURS} ") else f"{offer.name} ({package})")
+    return ", ".join(names) or f"none, not even those of {OURS} itself: install {OURS} again"
 
 
 def _distribution(entry_point: EntryPoint) -> str:

@@ -1,4 +1,4 @@
-"""What digitizers share whose records follow from the strike alone: simulated and recorded ones."""
+"""Base of digitizers whose records follow from the strike alone: simulated and recorded ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hardware_drivers.measurement import ShotKey
 
 
 class StruckDigitizer(ABC):
-    """Hands over the record of the first strike at the armed position; its striker tells it of strikes.
+    """Digitizer that returns the record of the first strike at the armed position; its striker notifies it.
 
     Nobody can strike while `read` runs, so a read without a strike times out at once.
     """
@@ -25,14 +25,14 @@ class StruckDigitizer(ABC):
 
     @abstractmethod
     def require_transducer(self, key: ShotKey) -> None:
-        """Refuse a position that has no solitary-wave transducer."""
+        """Reject a position that has no solitary-wave transducer."""
 
     @abstractmethod
     def record_of(self, key: ShotKey) -> Acquired:
-        """Find the record of the strike just remembered."""
+        """Return the record of the latest stored strike."""
 
     def arm(self, key: ShotKey) -> None:
-        """Let the next strike at the key's position be recorded."""
+        """Arm: the next strike at the key's position is recorded."""
         self.require_transducer(key)
         if self._armed is not None:
             raise ConfigurationError(
@@ -42,18 +42,18 @@ class StruckDigitizer(ABC):
         self._armed = key
 
     def disarm(self) -> None:
-        """Record nothing any more."""
+        """Disarm: no strike is recorded any more."""
         self._armed = self._struck = None
 
     def strike(self, key: ShotKey) -> bool:
-        """Remember the first strike at the armed position and say so; any other is lost."""
-        heard = self._armed is not None and self._armed.position == key.position and self._struck is None
-        if heard:
+        """Store the first strike at the armed position; return whether this is it, any other is lost."""
+        recorded = self._armed is not None and self._armed.position == key.position and self._struck is None
+        if recorded:
             self._struck = key
-        return heard
+        return recorded
 
     def read(self, timeout_s: float) -> Acquired:
-        """Hand over the record and disarm; how long that takes never makes a strike a missed one."""
+        """Return the record and disarm; the time that takes never makes a strike a missed one."""
         require_timeout(timeout_s)
         armed, struck = self._armed, self._struck
         self.disarm()

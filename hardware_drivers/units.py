@@ -27,7 +27,7 @@ _UNITS = {
 
 
 def unit_of(name: str) -> str:
-    """Derive the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
+    """Return the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
 
     NeXus writes a number without unit, such as a fraction, with an empty unit.
     """

@@ -1,1 +1,1 @@
-"""A numerical specimen behind the same instruments as a real rig. Knows no storage, web or analysis."""
+"""Digital twin: a numerical specimen behind the instruments of a real rig. No storage, web or analysis."""

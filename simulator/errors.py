@@ -1,4 +1,4 @@
-"""Errors the twin may raise.
+"""Errors that the twin may raise.
 
 ::
 
@@ -15,16 +15,16 @@ from __future__ import annotations
 
 
 class SimulatorError(Exception):
-    """Anything the twin reports; catch the subclasses to decide what to do."""
+    """Base class of the twin's errors; catch the subclasses to decide what to do."""
 
 
 class SpecimenError(SimulatorError, ValueError):
-    """Parameters that are each within bounds but cannot go together."""
+    """Error: parameters within their bounds contradict each other."""
 
 
 class IntegrationError(SimulatorError):
-    """The integration did not conserve energy or left the real numbers, even with a finer step."""
+    """Error: the integration did not conserve energy or produced NaN, even with a finer step."""
 
 
 class NoSolitaryWaveError(SimulatorError):
-    """The record ends before an incident solitary wave reached the sensor."""
+    """Error: the record ends before an incident solitary wave reached the sensor."""

@@ -1,4 +1,4 @@
-"""The twin as instruments: striker, digitizer and pulse-echo unit behind the Protocols of a rig.
+"""Twin as instruments: striker, digitizer and pulse-echo unit behind the Protocols of a rig.
 
 A strike reaches the digitizer through the bench they share, as it does in a laboratory through the
 chain of spheres: a digitizer that is not armed, or armed at another position, records nothing.
@@ -45,15 +45,15 @@ StrikesAfter = Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Begun:
-    """A record under way: its place in the results of a group."""
+class _PendingRecord:
+    """Record in computation: its group and its index in the results."""
 
     group: Future[list[Acquired | None]]
-    place: int
+    index: int
 
 
 class RecordsAhead:
-    """Records of the next planned strikes, computed while the caller stores and judges the present one.
+    """Records of the next scheduled strikes, computed while the caller stores and assesses the present one.
 
     A record is a pure function of the shot's key and the hour, so one computed ahead is the one that
     would be computed now, and a plan that is not kept costs time but changes nothing: a strike that was
@@ -79,12 +79,12 @@ class RecordsAhead:
         self._broken = False
         self._strikes_after = strikes_after
         self._planned: Iterator[list[TimedStrike]] = iter(())
-        self._pending: dict[TimedStrike, _Begun] = {}
+        self._pending: dict[TimedStrike, _PendingRecord] = {}
         # Positions that were passed over when they were due: retired ones, for all we know.
         self._passed_over: set[str] = set()
 
     def record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
-        """Record of a strike, waiting for it if need be; starts on those after it.
+        """Return the record of a strike, waiting if necessary; start on those after it.
 
         Parameters
         ----------
@@ -102,43 +102,43 @@ class RecordsAhead:
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
-        own = self._pending.pop(strike, None)
-        left: dict[TimedStrike, _Begun] = {}
+        pending = self._pending.pop(strike, None)
+        previous: dict[TimedStrike, _PendingRecord] = {}
         if expected[:1] != [strike]:
-            left, self._pending = self._pending, {}
+            previous, self._pending = self._pending, {}
             self._plan_from(key, utc_ns, [planned for planned, _ in expected], hour_h)
         while len(self._pending) + LARGEST_GROUP <= RECORDS_AHEAD:
             group = next(self._planned, None)
             if group is None:
                 break
-            self._pending |= self._begun(group, left)
-        if left:
-            wanted = {begun.group for begun in (own, *self._pending.values()) if begun is not None}
-            for dropped in {begun.group for begun in left.values()} - wanted:
+            self._pending |= self._submit(group, previous)
+        if previous:
+            wanted = {record.group for record in (pending, *self._pending.values()) if record is not None}
+            for dropped in {record.group for record in previous.values()} - wanted:
                 dropped.cancel()
-        if own is not None:
-            error = own.group.exception()
+        if pending is not None:
+            error = pending.group.exception()
             if error is None:
-                return own.group.result()[own.place]
+                return pending.group.result()[pending.index]
             if isinstance(error, BrokenExecutor):
                 raise error
             log.warning("a group of records failed, so each is computed by its reader: %s", error)
         return self._specimen.solitary_wave(*strike)
 
-    def _begun(
-        self, group: Sequence[TimedStrike], left: dict[TimedStrike, _Begun]
-    ) -> dict[TimedStrike, _Begun]:
-        """Take the strikes of a group that are under way out of ``left`` and begin the others."""
-        new = [strike for strike in group if strike not in left]
+    def _submit(
+        self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
+    ) -> dict[TimedStrike, _PendingRecord]:
+        """Remove the pending strikes of a group from ``previous`` and submit the others."""
+        new = [strike for strike in group if strike not in previous]
         if new:
             future = self._executor.submit(self._compute, new)
-            left |= {strike: _Begun(future, place) for place, strike in enumerate(new)}
-        return {strike: left.pop(strike) for strike in group}
+            previous |= {strike: _PendingRecord(future, index) for index, strike in enumerate(new)}
+        return {strike: previous.pop(strike) for strike in group}
 
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
-        """Plan anew from a strike that did not come in its turn."""
+        """Plan again from a strike that did not come in its turn."""
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)
@@ -151,14 +151,14 @@ class RecordsAhead:
 
 
 def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
-    """Neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
-    for _, alike in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
-        while group := list(islice(alike, LARGEST_GROUP)):
+    """Group neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
+    for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
+        while group := list(islice(neighbours, LARGEST_GROUP)):
             yield group
 
 
 class Bench(StruckDigitizer):
-    """The digitizer, and what striker and pulse-echo unit share with it: the specimen and the hour.
+    """Digitizer, and the specimen and hour that striker and pulse-echo unit share with it.
 
     Parameters
     ----------
@@ -183,19 +183,19 @@ class Bench(StruckDigitizer):
         self._struck_utc_ns = 0
 
     def hour_h(self, utc_ns: int) -> float:
-        """Hour of the experiment whose depth and temperature hold at a time."""
+        """Return the hour of the test whose depth and temperature hold at a time."""
         return self.specimen.hour_h(utc_ns - self._epoch_utc_ns)
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Refuse a position without a chain."""
+        """Reject a position without a chain."""
         _require_position(key, self.specimen.transducers, "solitary-wave transducer")
 
     def strike(self, key: ShotKey) -> bool:
         """Send a wave down the chain: only the first one at the armed position is recorded."""
-        heard = super().strike(key)
-        if heard:
+        recorded = super().strike(key)
+        if recorded:
             self._struck_utc_ns = self.clock.utc_ns()
-        return heard
+        return recorded
 
     def record_of(self, key: ShotKey) -> Acquired:
         """Sample the PZT disk around the trigger."""
@@ -217,15 +217,15 @@ class Bench(StruckDigitizer):
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
-def _require_position(key: ShotKey, known: Mapping[str, object], what: str) -> None:
+def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
-        raise ConfigurationError(f"no {what} at position {key.position!r}; there are: {names}")
+        raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoilEvent:
-    """A coil was switched on or off."""
+    """Switching of a coil."""
 
     utc_ns: int
     position: str
@@ -242,12 +242,12 @@ class SimulatedStriker:
 
     @property
     def energised(self) -> str | None:
-        """Position whose coil is on, None if all are off."""
+        """Return the position whose coil is on, None if all are off."""
         return self._energised
 
     @property
     def coil_events(self) -> tuple[CoilEvent, ...]:
-        """The newest switchings, oldest first."""
+        """Return the newest switchings, oldest first."""
         return tuple(self._events)
 
     def strike(self, key: ShotKey) -> None:
@@ -269,13 +269,13 @@ class SimulatedStriker:
 
 
 class SimulatedPulseEchoUnit:
-    """Fires the ultrasonic probe and averages."""
+    """Pulse-echo unit that fires the ultrasonic probe and averages."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Averaged record of the wall at this hour."""
+        """Return the averaged record of the wall at this hour."""
         require_timeout(timeout_s)
         _require_position(key, self._bench.specimen.probed_thickness_m, "ultrasonic probe")
         return self._bench.specimen.echo(key, self._bench.hour_h(self._bench.clock.utc_ns()))
@@ -283,7 +283,7 @@ class SimulatedPulseEchoUnit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedInstruments:
-    """The instruments of one bench; a rig is composed of them and the clock."""
+    """Instruments of one bench, from which a rig is composed together with the clock."""
 
     striker: SimulatedStriker
     digitizer: Bench
@@ -301,7 +301,7 @@ def build_bench(
     executor: Executor | None = None,
     compute: Compute | None = None,
 ) -> SimulatedInstruments:
-    """Instruments around one specimen.
+    """Build the instruments around one specimen.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the twin would measure: a pure function of the shot's key and the hour of the experiment.
+"""Specimen of the twin: records as a pure function of the shot's key and the hour of the test.
 
 `instruments` decides when something is struck and read; here it is computed. Nothing is remembered
 between shots, so any shot can be computed at any time, ahead or again, with the same result.
@@ -54,25 +54,25 @@ class SolitaryWaveModel(Protocol):
     """Physics of one transducer on its plate (`simulator.shot.model.ShotModel`)."""
 
     def shot(self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Force at the sensor after a strike on a wall of this depth."""
+        """Return the force at the sensor after a strike on a wall of this depth."""
         ...
 
     def shot_at_hole(self, *, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Force at the sensor when nothing holds the chain's end."""
+        """Return the force at the sensor when nothing holds the chain's end."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Transducer:
-    """One solitary-wave transducer: its nominal chain and its physics."""
+    """Solitary-wave transducer: its nominal chain and its physics."""
 
     chain: ChainParameters
     model: SolitaryWaveModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Blow:
-    """A strike as drawn: what the chain meets."""
+class _DrawnStrike:
+    """Strike as drawn, for the chain."""
 
     key: ShotKey
     hour_h: float
@@ -82,7 +82,7 @@ class _Blow:
     strike: Strike
 
     def impact(self) -> Impact:
-        """First impact."""
+        """Return the first impact."""
         found = self.nuisance
         return Impact(
             depth_fraction=self.wall.patch_depth_fraction,
@@ -94,7 +94,7 @@ class _Blow:
         )
 
     def impacts(self) -> Impact:
-        """Both impacts of a striker that bounced."""
+        """Return both impacts of a striker that bounced."""
         return replace(
             self.impact(),
             second_delay_s=self.faults.double_delay_s,
@@ -104,7 +104,7 @@ class _Blow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Specimen:
-    """Plate, transducers, probes and room.
+    """Specimen of plate, transducers, probes and room.
 
     Attributes
     ----------
@@ -138,18 +138,18 @@ class Specimen:
     stray: Stray | None = None
 
     def hour_h(self, elapsed_ns: int) -> float:
-        """Hour whose depth and temperature hold now (`TwinParameters.update_interval_s`)."""
+        """Return the hour whose depth and temperature hold now (`TwinParameters.update_interval_s`)."""
         return held_hour_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
-        """Draw what befalls this strike, its chain and its gain; hum and spikes come with the record."""
+        """Draw the faults of this strike, its chain and its gain; hum and spikes come with the record."""
         faults = self.twin.faults.get(key.position)
         if faults is None:
             return NO_FAULTS
         return faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
 
     def nuisance(self, key: ShotKey, hour_h: float, faults: ShotFaults) -> ShotNuisance | None:
-        """Draw what disturbs this strike though nothing is wrong; None without nuisance."""
+        """Draw the variability of this strike; None where the level has none."""
         found = self.nuisances.get(key.position)
         if found is None:
             return None
@@ -158,7 +158,7 @@ class Specimen:
         )
 
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Drop height, tilt and sensitivity of one shot, its faults included."""
+        """Return drop height, tilt and sensitivity of one shot, its faults included."""
         faults = self.faults(key, hour_h)
         return self._strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
@@ -178,13 +178,13 @@ class Specimen:
         return strike if faults is NO_FAULTS else faulty_strike(strike, faults, sensor)
 
     def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
-        """Temperature of a transducer."""
+        """Return the temperature of a transducer."""
         if found is None:
             return self.room.at(hour_h) + faults.temperature_k
         return self.room.drift.mean_temperature_c + found.chain_warmer_k
 
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
-        """Physics of one impact at its own depth, drop height and tilt."""
+        """Return the force of one impact at its own depth, drop height and tilt."""
         model = _model(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
@@ -195,12 +195,12 @@ class Specimen:
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Record of one strike, or None if it does not reach the trigger level."""
+        """Return the record of one strike, or None if it does not reach the trigger level."""
         (acquired,) = self.solitary_waves([(key, hour_h)])
         return acquired
 
     def solitary_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-        """Compute the records of strikes at their hours; each is that of `solitary_wave` to the last bit.
+        """Return the records of strikes at their hours, bit-identical to those of `solitary_wave`.
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
         """
@@ -208,13 +208,13 @@ class Specimen:
         forces = self._forces([blow for blow in blows if blow is not None])
         return [None if blow is None else self._acquired(blow, *next(forces)) for blow in blows]
 
-    def _blow(self, key: ShotKey, hour_h: float) -> _Blow | None:
+    def _blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
         """Draw a strike; None for one that misses the chain."""
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
         found = self.nuisance(key, hour_h, faults)
-        return _Blow(
+        return _DrawnStrike(
             key=key,
             hour_h=hour_h,
             wall=self.walls[key.position].at(hour_h),
@@ -223,8 +223,8 @@ class Specimen:
             strike=self._strike(key, hour_h, faults, found),
         )
 
-    def _forces(self, blows: Sequence[_Blow]) -> Iterator[tuple[ShotForce, ShotForce]]:
-        """Force of each blow's first impact, and of all its impacts."""
+    def _forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
+        """Return the force of each strike's first impact, and of all its impacts."""
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
             faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
@@ -242,7 +242,7 @@ class Specimen:
             forces.update(zip(numbers, found, strict=True))
         return (forces[number] for number in range(len(blows)))
 
-    def _force_alone(self, model: SolitaryWaveModel, blow: _Blow) -> tuple[ShotForce, ShotForce]:
+    def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
         if blow.faults.double_delay_s is not None:
             raise SpecimenError(
                 f"double is a second impact on the chain of a ShotModel; this one is a "
@@ -256,8 +256,8 @@ class Specimen:
         force = self.force(blow.wall, blow.strike, blow.key.position, blow.faults)
         return force, force
 
-    def _acquired(self, blow: _Blow, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
-        """Sample the force as the digitizer would."""
+    def _acquired(self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
+        """Return the record of the force as the digitizer samples it."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = interference_of_shot(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -293,13 +293,13 @@ class Specimen:
         return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
 
     def _stray(self, found: ShotNuisance | None) -> Stray | None:
-        """Voltage that no strike made, that of the nuisance included."""
+        """Return the voltage that no strike causes, that of the variability included."""
         if found is None or not found.rings:
             return self.stray
-        heard: list[Stray] = [ring.volts for ring in found.rings]
+        strays: list[Stray] = [ring.volts for ring in found.rings]
         if self.stray is not None:
-            heard.append(self.stray)
-        return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in heard], axis=0)
+            strays.append(self.stray)
+        return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in strays], axis=0)
 
     def _plate_temperature_c(self, hour_h: float) -> float:
         if self.climate is None:
@@ -307,7 +307,7 @@ class Specimen:
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
-        """Wall under an ultrasonic probe at an hour of the experiment."""
+        """Return the wall under an ultrasonic probe at an hour of the test."""
         return probed_wall(
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
@@ -316,7 +316,7 @@ class Specimen:
         )
 
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
-        """Averaged pulse-echo record of one position."""
+        """Return the averaged pulse-echo record of one position."""
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
         found, disturbed = disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
@@ -339,7 +339,7 @@ class Specimen:
 
 
 def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
-    """Model of the transducer, on a chain with other contacts where a fault changed them."""
+    """Return the model of the transducer, on a chain with other contacts where a fault changed them."""
     if faults.radius_factor == 1.0 and faults.contact_damping_factor == 1.0:
         return transducer.model
     if not isinstance(transducer.model, ShotModel):
@@ -350,7 +350,7 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
     return transducer.model.with_chain(faulty_chain(transducer.chain, faults))
 
 
-def _forces_together(model: ShotModel, blows: Sequence[_Blow]) -> list[tuple[ShotForce, ShotForce]]:
+def _forces_together(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
     """Integrate blows on one chain side by side; results as of `Specimen._forces`."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
@@ -362,12 +362,12 @@ def _forces_together(model: ShotModel, blows: Sequence[_Blow]) -> list[tuple[Sho
 
 
 def _grid_step_s(force: ShotForce) -> float:
-    """Step of the force's grid, which may be several steps of the integration."""
+    """Return the step of the force's grid, which may be several steps of the integration."""
     return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
 def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
-    """Collect what the twin knows of a shot; the force's numbers are those of ``solimon simulate``."""
+    """Return the true values of a shot; the force's numbers are those of ``solimon simulate``."""
     pulses = summarise(force)
     return {
         "depth_fraction": wall.depth_fraction,
@@ -393,7 +393,7 @@ def _si(value: float | None, unit: float = 1.0) -> float:
 def build_specimen(
     twin: TwinParameters, *, transducers: Mapping[str, Transducer], probed_thickness_m: Mapping[str, float]
 ) -> Specimen:
-    """Draw what is drawn once an experiment (thinning, weather) and put the specimen together."""
+    """Draw the constants of a test (thinning, weather) and build the specimen."""
     walls = {
         position: wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position
@@ -426,7 +426,7 @@ def build_specimen(
 
 
 def _by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
-    """Transducer by the liquid's depth over the full one; empty on a dry plate."""
+    """Return the transducer by the liquid's depth over the full one; empty on a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}
     models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}

@@ -1,1 +1,1 @@
-"""What a change of the features comes from: wall, sensor, coupling or environment."""
+"""Diagnosis of a change of the features: wall, sensor, coupling or environment."""

@@ -1,4 +1,4 @@
-"""Is it the wall? What each set says of its transducer, and how sure that is.
+"""Diagnosis of a transducer after each set, with the probability of each cause.
 
 Averages of the logarithms of seven features, of three lengths, are remembered. A cause is a direction (or a
 curve) in the features and a course in time: a wall grows, a re-seat is there from one set to the next. Each
@@ -42,7 +42,7 @@ MOST_REMEMBERED = 2000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """What a set says.
+    """Diagnosis of a transducer after one set.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Diagnosis:
 def diagnosis_of(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
 ) -> Diagnosis:
-    """Say what the sets so far mean.
+    """Return the diagnosis after the latest set.
 
     Parameters
     ----------
@@ -116,13 +116,17 @@ def diagnosis_of(
 
 
 def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParameters) -> bool:
-    """Compare the average of some ten sets with the two places that are known, once it holds that many."""
-    away, moved = (memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True))
-    return memory.n >= FEWEST_AVERAGED and bool(away @ away < moved @ moved)
+    """Check whether the average of about ten sets is nearer to the baseline than to the re-seated state."""
+    deviation_from_baseline, moved = (
+        memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True)
+    )
+    return memory.n >= FEWEST_AVERAGED and bool(
+        deviation_from_baseline @ deviation_from_baseline < moved @ moved
+    )
 
 
-def remembering(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
-    """Keep what was named: a wall until the transducer is healthy again, and where its contacts sit."""
+def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
+    """Store a confirmed wall diagnosis, or the state of the contacts, for the next sets."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
@@ -137,10 +141,10 @@ def remembering(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState
 def _posterior(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
-    """Probability of each cause, and of a step, of what changed since the baseline or since a re-seat."""
-    seen, noise, course = _seen(memory, design, from_moved=from_moved)
-    whole = np.linalg.inv(np.linalg.cholesky(noise))
-    seen, course = whole @ seen @ design.whitening, course @ whole.T
+    """Return the probability of each cause, and of a step, for a change since the baseline or a re-seat."""
+    seen, noise, course = _observations(memory, design, from_moved=from_moved)
+    noise_whitening = np.linalg.inv(np.linalg.cholesky(noise))
+    seen, course = noise_whitening @ seen @ design.whitening, course @ noise_whitening.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
     steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
@@ -158,9 +162,12 @@ def _posterior(
 
 
 def _log_densities(
-    design: DiagnosisParameters, which: NDArray[np.intp] | slice, along: FloatArray, length: FloatArray
+    design: DiagnosisParameters,
+    hypothesis_indices: NDArray[np.intp] | slice,
+    along: FloatArray,
+    length: FloatArray,
 ) -> FloatArray:
-    """Give log densities of hypotheses and courses over that of no change, shape (h, s).
+    """Return log densities of hypotheses and courses over that of no change, shape (h, s).
 
     Parameters
     ----------
@@ -168,8 +175,11 @@ def _log_densities(
         What is seen along each course, shape (s, 7), and the course's length, shape (s,).
     """
     # The seven directions come first: sums of seven neighbours each cost ten times as much.
-    means, variances = design.means[which].T[:, :, None], design.variances[which].T[:, :, None]
-    turned = design.directions[which].transpose(2, 0, 1)
+    means, variances = (
+        design.means[hypothesis_indices].T[:, :, None],
+        design.variances[hypothesis_indices].T[:, :, None],
+    )
+    turned = design.directions[hypothesis_indices].transpose(2, 0, 1)
     parts = (turned.reshape(-1, turned.shape[2]) @ along.T).reshape(*turned.shape[:2], -1) - length * means
     spread = 1.0 + length**2 * variances
     explained = (parts**2 / spread).sum(axis=0) + np.log(spread.prod(axis=0))
@@ -178,7 +188,7 @@ def _log_densities(
 
 @lru_cache(maxsize=512)
 def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
-    """Averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
+    """Return the averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
 
     The averages begin with the first of n sets after the baseline. A step lies between two sets, however
     far apart they are; what grows goes on growing while the plan has a gap.
@@ -192,10 +202,10 @@ def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> Fl
     return np.asarray(course @ weights(n, confirmation_ago).T)
 
 
-def _seen(
+def _observations(
     memory: DiagnosisState, design: DiagnosisParameters, *, from_moved: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Give what the memory holds, its covariance while nothing changes (a set's is 1), and the courses in it.
+    """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.
 
     Where the wander stood when the baseline ended tells where it may be now, until a re-seat.
 

@@ -1,4 +1,4 @@
-"""What may have happened to a transducer, each as a signature: a mean change of the features and its scatter.
+"""Hypotheses on what happened to a transducer: each a mean change of the features and its scatter.
 
 Amounts are mixtures over a wide grid, so that a cause is known by its direction, or its curve, and not by a
 size that somebody guessed. Slopes are those of one model (`slopes`); that others differ is in the scatter.
@@ -58,7 +58,7 @@ TRIED_DEPTHS = np.geomspace(0.0025, DEPTHS[-1], 18)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis:
-    """One cause with one size.
+    """Hypothesis of one cause with one size.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Hypothesis:
 
 
 def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
-    """List them all.
+    """Return all hypotheses.
 
     Parameters
     ----------
@@ -97,10 +97,10 @@ def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
         )
         for covariance, part in ((nothing, 1.0 - WANDERING), (baseline, WANDERING))
     ]
-    found += _weighted(WALL, list(_walls()), abrupt=0.0)
-    found += _weighted(SENSOR, list(_spread(_sensor())), abrupt=0.5)
-    found += _weighted(COUPLING, list(_spread(_coupling())), abrupt=RE_SEATS)
-    found += _weighted(ENVIRONMENT, list(_spread([_environment()])), abrupt=0.0)
+    found += _weighted(WALL, list(_wall_hypotheses()), abrupt=0.0)
+    found += _weighted(SENSOR, list(_spread(_sensor_sources())), abrupt=0.5)
+    found += _weighted(COUPLING, list(_spread(_coupling_sources())), abrupt=RE_SEATS)
+    found += _weighted(ENVIRONMENT, list(_spread([_environment_sources()])), abrupt=0.0)
     return tuple(found)
 
 
@@ -120,8 +120,8 @@ def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> 
     ]
 
 
-def _walls() -> Iterator[Signature]:
-    """Every depth under either patch: a wall has a sign, and follows a curve."""
+def _wall_hypotheses() -> Iterator[Signature]:
+    """Return hypotheses for every depth under either patch: a wall has a sign and follows a curve."""
     for patch in (WALL_B, WALL_C):
         curve = np.vstack([np.zeros(len(patch[0])), patch])
         for depth in TRIED_DEPTHS:
@@ -130,42 +130,48 @@ def _walls() -> Iterator[Signature]:
 
 
 def _spread(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Every size of sources that act to either side."""
+    """Return hypotheses for every size of sources that act in either direction."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance
 
 
-def _of(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
+def _sum_of_sources(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
     """Sum sources that vary independently: slope, SD."""
     slopes = np.array([slope for slope, _ in sources]) * np.array([sd for _, sd in sources])[:, None]
     return np.asarray(slopes.T @ slopes + MISMATCH**2 * np.diag((slopes**2).sum(axis=0)))
 
 
-def _sensor() -> list[FloatArray]:
-    """Give each source alone, since one part fails at a time: gain, striker, tilt, wear of all contacts."""
+def _sensor_sources() -> list[FloatArray]:
+    """Return each sensor source alone, since one part fails at a time.
+
+    Gain, striker, tilt, wear of all contacts.
+    """
     gain = np.array(GAIN)
     wear = 0.5 * np.sum(STIFFNESS, axis=0)  # A goes with the root of the radius
     return [
         USUAL_GAIN**2 * np.outer(gain, gain),
-        _of([(DROP_HEIGHT, USUAL_DROP)]),
-        _of([(TILT, USUAL_TILT_RAD)]),
-        _of([(wear.tolist(), USUAL_WEAR)]),
+        _sum_of_sources([(DROP_HEIGHT, USUAL_DROP)]),
+        _sum_of_sources([(TILT, USUAL_TILT_RAD)]),
+        _sum_of_sources([(wear.tolist(), USUAL_WEAR)]),
     ]
 
 
-def _coupling() -> list[FloatArray]:
-    """Give the foot of the chain alone, and a chain that sits anew in all its contacts, tilt and height."""
+def _coupling_sources() -> list[FloatArray]:
+    """Return the sources of coupling.
+
+    The foot of the chain alone, or a re-seated chain with tilt and height.
+    """
     foot = [(STIFFNESS[-1], USUAL_STIFFNESS), (DAMPING[-1], USUAL_DAMPING)]
     everywhere = [(slope, USUAL_STIFFNESS) for slope in STIFFNESS]
     everywhere += [(slope, USUAL_DAMPING) for slope in DAMPING]
     everywhere += [(DROP_HEIGHT, 0.5 * USUAL_DROP), (TILT, 0.5 * USUAL_TILT_RAD), (GAIN, 0.5 * USUAL_GAIN)]
-    return [_of(foot), _of(everywhere)]
+    return [_sum_of_sources(foot), _sum_of_sources(everywhere)]
 
 
-def _environment() -> FloatArray:
-    """Give what a change of temperature does through modulus, PZT and striker's guide."""
-    return _of(
+def _environment_sources() -> FloatArray:
+    """Return the effect of a temperature change through modulus, PZT and the striker's guide."""
+    return _sum_of_sources(
         [
             ([1e-3 * slope for slope in MODULUS_K], USUAL_K),
             (GAIN, SENSITIVITY_PER_K * USUAL_K),

@@ -1,4 +1,4 @@
-"""How a healthy transducer's features vary in time, as its baseline shows: parts whose memories differ.
+"""Noise of a healthy transducer's features over time: components with different autocorrelation times.
 
 Each part is a first-order autoregression with a memory of its own; together they stand for anything from
 independent sets over memory from set to set to a wander that is slower than the baseline. What few sets
@@ -33,7 +33,7 @@ END_RATES = (0.1, 0.02)
 
 
 def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
-    """Likeliest variance of each part, shape (7,), that all directions share.
+    """Return the maximum-likelihood variance of each component, shape (7,), shared by all directions.
 
     Each step multiplies a variance by the root of the ratio of what the sets show to what it explains, the
     prior (inverse gamma, mode `BEFOREHAND`) taken in as further sets: a minorize-maximize algorithm, which
@@ -48,8 +48,8 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
         Of these sets in the plan, shape (n,).
     """
     w, at = whitened[-MOST_SETS:], indices[-MOST_SETS:]
-    apart = np.abs(np.subtract.outer(at, at))
-    parts = PHI[:, None, None] ** apart
+    distance = np.abs(np.subtract.outer(at, at))
+    parts = PHI[:, None, None] ** distance
     seen, directions = w @ w.T, w.shape[1]
     found = BEFOREHAND
     for _ in range(ITERATIONS):
@@ -61,8 +61,8 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
     return np.asarray(found)
 
 
-def ends_of(changes: FloatArray) -> FloatArray:
-    """Averages of a baseline's changes from its mean, shape (n, 7), when it ended; shape (2, 7)."""
+def end_averages(changes: FloatArray) -> FloatArray:
+    """Return the (2, 7) averages of a baseline's deviations, shape (n, 7), from its mean at its end."""
     return np.asarray(_end_weights(len(changes)) @ changes)
 
 
@@ -72,8 +72,8 @@ def _end_weights(n: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _of_reference(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Look at the mean of so many sets and at the averages at their end: sums of weights, covariance, reach.
+def _reference_observations(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean of ``sets`` sets and the averages at their end as weights, covariance and reach.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def _of_reference(sets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @lru_cache(maxsize=2048)
 def covariances(n: int, since: int, confirmation_ago: int | None, reference: int) -> FloatArray:
-    """Covariance by each part of what is seen, in units of the part's variance; shape (7, r, r).
+    """Return the covariance of the observations by component, in units of its variance; shape (7, r, r).
 
     Rows are the averages at the end of the sets of reference, those of the last n sets, and a confirmation,
     all as differences from the mean of the sets of reference.
@@ -102,7 +102,7 @@ def covariances(n: int, since: int, confirmation_ago: int | None, reference: int
     reference
         Sets whose mean the differences are from.
     """
-    sums, before, reach = _of_reference(reference)
+    sums, before, reach = _reference_observations(reference)
     after = weights(n, confirmation_ago)
     k, r = len(sums), len(after)
     # A difference is an average less the mean of reference, as often as its weights sum to.

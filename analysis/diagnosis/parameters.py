@@ -1,4 +1,4 @@
-"""What a frozen baseline gives to tell causes by: hypotheses with their courses, in whitened coordinates."""
+"""Diagnosis parameters of a frozen baseline: hypotheses with their courses, in whitened coordinates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.diagnosis.hypotheses import PRIOR, Hypothesis, hypotheses
-from analysis.diagnosis.noise import ends_of, variances_of
+from analysis.diagnosis.noise import end_averages, variances_of
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.statistics.baseline import whitening_matrix
@@ -29,7 +29,7 @@ POWERS = (1.0, 2.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DiagnosisParameters:
-    """What a frozen baseline gives to tell causes by.
+    """Diagnosis parameters of a frozen baseline.
 
     Attributes
     ----------
@@ -70,14 +70,14 @@ class DiagnosisParameters:
 
 
 def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
-    """Logarithms of a set's features in the order of `COMPONENTS`; None where one is missing."""
+    """Return the logarithms of a set's features in the order of `COMPONENTS`; None where one is missing."""
     found = [values.get(name) for name in COMPONENTS]
     known = [value for value in found if value is not None and math.isfinite(value) and value > 0.0]
     return np.log(known) if len(known) == len(found) else None
 
 
 def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
-    """Design from the baseline's sets.
+    """Compute the diagnosis parameters from the baseline's sets.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
         n=n,
         last_index=first_index + int(indices[-1]),
         variances_in_time=variances_of((complete - mean) @ whitening, indices),
-        ends=ends_of(complete - mean),
+        ends=end_averages(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),
@@ -124,7 +124,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
 
 
 def _weights(one: Hypothesis) -> FloatArray:
-    """Probability beforehand with each course."""
+    """Return the prior probability with each course."""
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses
     return np.concatenate([one.weight * one.abrupt * since / since.sum(), np.full(courses, growth)])

@@ -1,4 +1,4 @@
-"""Slopes of the features for each cause, as `python benchmarks/diagnosis_slopes.py` prints them; not tuned.
+"""Slopes of the features for each cause, as printed by `python benchmarks/diagnosis_slopes.py`; not tuned.
 
 Changes of the logarithms of `COMPONENTS`, on one model: the paper's chain with the disk sensor on its dry
 Mindlin plate. How far others differ is `hypotheses.MISMATCH`. Contact i lies below body i, the striker is

@@ -1,4 +1,4 @@
-"""What is remembered of a transducer's sets to tell causes by: averages, a confirmation, a re-seat, a gap.
+"""Diagnosis state of a transducer: averages over its sets, a confirmation set, a re-seat, a gap.
 
 A confirmed re-seat shifts the transducer for good. Where it sits since then is learnt from the next sets, and
 later changes are told from there, so that a wall that thins behind it is still named.
@@ -26,7 +26,7 @@ NOTHING = ((0.0,) * len(COMPONENTS),) * len(RATES)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosisState:
-    """What the next set is judged with beside the design; as it is before the first set after a baseline.
+    """State with which the next set is diagnosed; the defaults hold before the first set after a baseline.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class DiagnosisState:
     moved: tuple[float, ...] = ()
 
     def averages(self, *, from_moved: bool) -> FloatArray:
-        """Give averages, and the confirmation's change below them; shape (3 or 4, 7).
+        """Return averages, and the confirmation's change below them; shape (3 or 4, 7).
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class DiagnosisState:
 
 
 def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: int) -> DiagnosisState:
-    """Take in one more complete set.
+    """Return the state after one more complete set.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
 
 
 def _gap(before: DiagnosisState, index: int) -> tuple[int, int]:
-    """Give the widest gap that the averages still know, and the sets since."""
+    """Return the widest gap that still affects the averages, and the sets since then."""
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
     if missed > 0 and missed >= old:
@@ -119,17 +119,20 @@ def _gap(before: DiagnosisState, index: int) -> tuple[int, int]:
 
 
 def with_confirmation(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
-    """Take in the set that was struck beside the plan after the last one; no average sees it."""
+    """Return the state after an unscheduled confirmation set; the averages do not include it."""
     return replace(memory, confirmation=tuple((logs - mean).tolist()), confirmation_ago=0)
 
 
 def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
-    """Begin again from where the transducer sits now; empty: as in its baseline."""
+    """Return the state after a re-seat: averages start from the new position.
+
+    Empty means as in the baseline.
+    """
     return DiagnosisState(wall=memory.wall, index=memory.index, moved=moved)
 
 
 def weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
-    """Weights of the last n sets in the averages, the newest first; shape (3 or 4, n).
+    """Return the weights of the last n sets in the averages, the newest first; shape (3 or 4, n).
 
     Parameters
     ----------
@@ -144,12 +147,12 @@ def weights(n: int, confirmation_ago: int | None = None) -> FloatArray:
 
 
 def covariance_of_averages(n: int, phi: float, confirmation_ago: int | None) -> FloatArray:
-    """Covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
+    """Return the covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
     # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
     ago, rates = np.arange(n), np.array(RATES)
-    kept = (1.0 - rates)[:, None]
-    with_older = (1.0 - (phi * kept) ** (n - ago)) / (1.0 - phi * kept)
-    pairs = (kept * kept.T)[:, :, None] ** ago * (with_older[:, None] + with_older - 1.0)
+    decay = (1.0 - rates)[:, None]
+    with_older = (1.0 - (phi * decay) ** (n - ago)) / (1.0 - phi * decay)
+    pairs = (decay * decay.T)[:, :, None] ** ago * (with_older[:, None] + with_older - 1.0)
     covariance = np.outer(rates, rates) * pairs.sum(axis=2)
     if confirmation_ago is None:
         return np.asarray(covariance)

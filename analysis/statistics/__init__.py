@@ -1,1 +1,1 @@
-"""Numbers that decide: baseline, distance, limits, rules, trend. Nothing of waves."""
+"""Statistics of sets: baseline, distance, limits, rules, trend. No waveforms."""

@@ -1,4 +1,4 @@
-"""A frozen baseline: mean and covariance of the healthy sets, and its own screen for suspects."""
+"""Frozen baseline: mean and covariance of the healthy sets, and a check for suspect sets."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _read_only(values: FloatArray) -> FloatArray:
 
 
 def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
-    """Symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
+    """Return the symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def fit_baseline(
     name: str,
     feature_names: Sequence[str] = FEATURE_NAMES,
 ) -> Baseline:
-    """Mean, covariance and own distances of healthy sets.
+    """Compute mean, covariance and baseline distances of healthy sets.
 
     Parameters
     ----------

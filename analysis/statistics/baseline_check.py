@@ -1,4 +1,4 @@
-"""What may be wrong with sets offered as a baseline: gross ones, a group that is off alike, a trend.
+"""Baseline check: gross outliers, a group of sets with a common offset, a trend.
 
 Mean and covariance of all sets hide a group: it widens the covariance along itself. So a core of sets is
 sought whose covariance is least (the minimum covariance determinant), and grown by whatever fits it. The core
@@ -17,7 +17,7 @@ import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import autocorrelation, corrected, significant
+from analysis.statistics.memory import autocorrelation, corrected_autocorrelation, significant_phi
 from analysis.waves.record_reduction import FloatArray
 
 CORE = 0.7
@@ -40,8 +40,8 @@ Kind = Literal["outlier", "group", "trend"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Named:
-    """Something of a baseline that a person should look at before approving it.
+class Anomaly:
+    """Anomaly of a baseline that a person should check before approval.
 
     Attributes
     ----------
@@ -56,33 +56,33 @@ class Named:
     rows: tuple[int, ...]
 
 
-def named_in(vectors: ArrayLike) -> tuple[Named, ...]:
-    """Name what stands out of the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
+def find_anomalies(vectors: ArrayLike) -> tuple[Anomaly, ...]:
+    """Find anomalies in the sets of a baseline, shape (n, p), none missing, n above 2 p + 2."""
     x = np.asarray(vectors, dtype=np.float64)
-    found: list[Named] = []
-    near, core = grown_cores(x)
+    found: list[Anomaly] = []
+    near, core = grow_cores(x)
     outside = np.flatnonzero(~core)
     if not near.all():
         whitened = _whitened(x, core)
-        alike = _alike(whitened, np.flatnonzero(~near), MANY_ALIKE)
-        if not alike.size:
-            alike = _alike(whitened, outside, FEW_ALIKE)
-        if alike.size:
-            found.append(Named(kind="group", rows=tuple(alike.tolist())))
-        found += [Named(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in alike]
+        group = _find_group(whitened, np.flatnonzero(~near), MANY_ALIKE)
+        if not group.size:
+            group = _find_group(whitened, outside, FEW_ALIKE)
+        if group.size:
+            found.append(Anomaly(kind="group", rows=tuple(group.tolist())))
+        found += [Anomaly(kind="outlier", rows=(row,)) for row in outside.tolist() if row not in group]
     if trend_probability(x[core], np.flatnonzero(core)) < TREND_RATE:
-        found.append(Named(kind="trend", rows=tuple(range(len(x)))))
+        found.append(Anomaly(kind="trend", rows=tuple(range(len(x)))))
     return tuple(found)
 
 
-def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Tell which sets are as near to the rest as most healthy ones, and which fit it; shape (n,) each.
+def grow_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the sets as near to the rest as most healthy ones, and those that fit it; shape (n,) each.
 
     The core grows by what is near. Grown at once by all that is not far, it would swallow a group: of few
     sets or many features it is known too badly.
     """
     n, p = x.shape
-    core, kept = _least_determinant(x), CORE
+    core, kept = _minimum_covariance_determinant(x), CORE
     for _ in range(GROWTHS):
         near = _distances(x, core, kept) <= f_predictive_limit(int(core.sum()), p, CUT_RATE)
         if near.sum() <= max(n // 2, p + 1) or (near == core).all():
@@ -93,7 +93,9 @@ def grown_cores(x: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
-    """Squared distances from a core that holds the nearest part ``kept`` of healthy sets, shape (n,).
+    """Return squared distances from a core that holds the nearest fraction ``kept`` of healthy sets.
+
+    Shape (n,).
 
     Its covariance is that of a normal distribution cut at its edge (Croux and Haesbroeck 1999).
     """
@@ -102,8 +104,11 @@ def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
     return np.asarray((_whitened(x, core) ** 2).sum(axis=1) * inside / kept)
 
 
-def _least_determinant(x: FloatArray) -> np.ndarray:
-    """Find the part of the sets with the least covariance: random starts, concentrated (Rousseeuw 1999)."""
+def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
+    """Find the subset with the minimum covariance determinant.
+
+    Random starts, concentrated (Rousseeuw 1999).
+    """
     n, p = x.shape
     size = max(math.ceil(CORE * n), p + 2)
     rng = np.random.default_rng(n * 1000 + p)  # the same sets always give the same names
@@ -113,8 +118,8 @@ def _least_determinant(x: FloatArray) -> np.ndarray:
         mean = chosen.mean(axis=1, keepdims=True)
         centred = chosen - mean
         covariance = np.einsum("sij,sik->sjk", centred, centred) / (chosen.shape[1] - 1)
-        away = x[None] - mean
-        distances = np.einsum("sij,sij->si", away @ np.linalg.pinv(covariance), away)
+        deviations = x[None] - mean
+        distances = np.einsum("sij,sij->si", deviations @ np.linalg.pinv(covariance), deviations)
         picks = np.argpartition(distances, size - 1, axis=1)[:, :size]
     chosen = x[picks] - x[picks].mean(axis=1, keepdims=True)
     _, volume = np.linalg.slogdet(np.einsum("sij,sik->sjk", chosen, chosen))
@@ -124,14 +129,14 @@ def _least_determinant(x: FloatArray) -> np.ndarray:
 
 
 def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
-    """All sets in units of the core's scatter, shape (n, p)."""
+    """Return all sets in units of the core's scatter, shape (n, p)."""
     mean = x[core].mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 
-def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
-    """Find those outside that are off alike: nearer to their middle than that is to the core."""
+def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
+    """Find outlying sets with a common offset: nearer to their centre than that is to the core."""
     if outside.size < fewest:
         return outside[:0]
     middle = np.median(whitened[outside], axis=0)
@@ -140,7 +145,7 @@ def _alike(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray
 
 
 def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
-    """Chance of such a trend over the rows in sets without one, by Hotelling's test of the slopes.
+    """Return the chance of such a trend over the rows without one, by Hotelling's test of the slopes.
 
     Memory lets healthy sets wander: the slopes' variance is (1 + phi)/(1 - phi) times that of independent
     ones.
@@ -156,6 +161,6 @@ def trend_probability(x: FloatArray, rows: ArrayLike) -> float:
         slope, rest = np.linalg.solve(root, slope), np.linalg.solve(root, rest.T).T
     except np.linalg.LinAlgError:  # a feature is a straight line, such as the hour
         return 0.0
-    phi = significant(float(corrected(autocorrelation(rest, 1).mean(), n)), n)
+    phi = significant_phi(float(corrected_autocorrelation(autocorrelation(rest, 1).mean(), n)), n)
     statistic = float(slope @ slope) * float(t @ t) * (1.0 - phi) / (1.0 + phi)
     return float(scipy.special.fdtrc(p, n - 1 - p, statistic * (n - 1 - p) / (p * (n - 2))))

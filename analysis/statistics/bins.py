@@ -1,4 +1,4 @@
-"""Bins of a trend: what is told of many sets at once, and how bins are joined to greater ones."""
+"""Bins of a trend: a summary of many sets, and how bins are joined to larger ones."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _OF_EACH_VALUE = 4
 
 
 def bin_type(n_values: int) -> np.dtype[np.void]:
-    """Type of a bin: a number, or one of each value, under the names that are told above."""
+    """Return the type of a bin: a number, or one of each value, under the names above."""
     names = list(_JOINED_BY)
     of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
     return np.dtype([*of_value, *((name, "<f8") for name in names[_OF_EACH_VALUE:])])
@@ -56,7 +56,7 @@ def bins_of_sets(
     in_baseline: Sequence[bool],
     n_alarms: Sequence[int],
 ) -> NDArray[np.void]:
-    """Make a bin of each set, exact.
+    """Make an exact bin of each set.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def bins_of_sets(
     worst = np.asarray(quality, dtype=np.float64)
     bins["n_sets"], bins["worst_quality"] = np.isfinite(worst), np.where(np.isfinite(worst), worst, -np.inf)
     bins["n_missed"], bins["n_in_baseline"], bins["n_alarms"] = missed, in_baseline, n_alarms
-    beyond, beyond_paper = (np.asarray(told, dtype=np.float64) for told in (outlier, outlier_paper))
+    beyond, beyond_paper = (np.asarray(flags, dtype=np.float64) for flags in (outlier, outlier_paper))
     bins["n_judged"], bins["n_outliers"] = np.isfinite(beyond), beyond == 1.0
     bins["n_judged_paper"], bins["n_outliers_paper"] = np.isfinite(beyond_paper), beyond_paper == 1.0
     bins["first_outlier"] = np.where(beyond == 1.0, index, np.inf)

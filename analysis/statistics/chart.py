@@ -1,4 +1,4 @@
-"""The chart that decides: how a baseline's memory, tails and size make its limit, and when it alarms.
+"""MEWMA control chart that raises alarms: its limit from the baseline's autocorrelation, tails and size.
 
 Each set is freed of what it owes to the one before (`directions`), whitened, cut back to the radius that a
 healthy set passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The
@@ -36,7 +36,7 @@ CHUNK = 512
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chart:
-    """A chart designed for one baseline.
+    """Control chart designed for one baseline.
 
     Attributes
     ----------
@@ -62,24 +62,24 @@ class Chart:
     limit: float
 
     def whitened(self, vectors: ArrayLike) -> FloatArray:
-        """Give what enters the average, shape (n, p), of sets that begin with the baseline."""
+        """Return the inputs of the average, shape (n, p), for sets that start with the baseline."""
         return self._entering(prewhitened(self._along(vectors), 0.0, self.phi))
 
     def whitened_after(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
-        """Give the same of one set, shape (p,), ``distance`` sets after the last complete one."""
+        """Return the input of one set, shape (p,), ``distance`` sets after the last complete one."""
         return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
 
     def _along(self, vectors: ArrayLike) -> FloatArray:
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
     def _entering(self, new: FloatArray) -> FloatArray:
-        """Whiten what is new in sets, shape (..., p), and cut it back to the cap."""
+        """Whiten the innovations of sets, shape (..., p), and clip them to the cap."""
         w = new @ self.whitening
         length = np.sqrt((w**2).sum(axis=-1, keepdims=True))
         return np.asarray(w * np.minimum(1.0, self.cap / np.maximum(length, 1e-300)))
 
     def run(self, whitened: FloatArray) -> tuple[FloatArray, list[int]]:
-        """Run from zero; after each alarm from zero again.
+        """Run the chart from zero; restart from zero after each alarm.
 
         Returns
         -------
@@ -107,7 +107,7 @@ class Chart:
         return statistic, onsets
 
 
-def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
+def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
     """Design the chart of a baseline.
 
     Parameters
@@ -121,11 +121,11 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
     n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
     found = directions_of(x)
     phi = np.maximum(widened_phi(found), least_phi)
-    return with_memory(x, found.matrix, phi, estimated_limit(n, p, run_length))
+    return chart_with_phi(x, found.matrix, phi, estimated_limit(n, p, run_length))
 
 
-def with_memory(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
-    """Make a chart of a baseline, shape (n, p), whose memory and limit are known (see `Chart`)."""
+def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
+    """Make a chart of a baseline, shape (n, p), with known autocorrelation and limit (see `Chart`)."""
     complete = np.isfinite(baseline).all(axis=1)
     n, p = int(complete.sum()), baseline.shape[1]
     mean = baseline[complete].mean(axis=0)
@@ -144,7 +144,7 @@ def with_memory(baseline: FloatArray, directions: FloatArray, phi: FloatArray, l
 
 
 def widened_phi(found: Directions) -> FloatArray:
-    """Return memory somewhat larger than found, more so where the sets are few.
+    """Return an autocorrelation somewhat larger than the estimate, with more margin for few sets.
 
     artanh phi is half the logarithm of (1 + phi)/(1 - phi), by which memory widens what slow averages scatter
     by: that factor is taken to be larger by one part for all directions. Standard errors of phi itself would
@@ -154,13 +154,13 @@ def widened_phi(found: Directions) -> FloatArray:
     return np.asarray(np.minimum(np.tanh(steps), LARGEST_PHI))
 
 
-def unshown_memory(baseline: ArrayLike) -> str:
-    """Say why the chart's rate cannot be promised, empty where it can.
+def unverified_rate_reason(baseline: ArrayLike) -> str:
+    """Return the reason why the chart's rate is not verified; empty where it is.
 
     Parameters
     ----------
     baseline
-        Shape (n, p), as `designed` had it.
+        Shape (n, p), as `design_chart` had it.
     """
     x = np.asarray(baseline, dtype=np.float64)
     complete = np.isfinite(x).all(axis=1)
@@ -169,20 +169,20 @@ def unshown_memory(baseline: ArrayLike) -> str:
         return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
     if trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
         return "the baseline has a trend: find its cause, or record another"
-    if wander_probability(_by_last_set(x)[complete]) < SLOW_RATE:
+    if slow_drift_probability(_prewhitened_by_last_set(x)[complete]) < SLOW_RATE:
         return "the baseline wanders more slowly than its memory from set to set explains: find the cause"
     return ""
 
 
-def _by_last_set(baseline: FloatArray) -> FloatArray:
-    """Whiten a baseline, freed of the memory that shows from one set to the next and of no other."""
+def _prewhitened_by_last_set(baseline: FloatArray) -> FloatArray:
+    """Whiten a baseline after removal of its lag-1 autocorrelation."""
     found = directions_of(baseline)
-    chart = with_memory(baseline, found.matrix, found.phi, math.inf)
+    chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whitened(baseline)
 
 
-def wander_probability(whitened: FloatArray) -> float:
-    """Chance that means of `BLOCKS` stretches of independent sets scatter as much as these (chi-square)."""
+def slow_drift_probability(whitened: FloatArray) -> float:
+    """Return the chance that `BLOCKS` block means of independent sets scatter so much (chi-square)."""
     n, p = whitened.shape
     length = n // BLOCKS
     means = whitened[: BLOCKS * length].reshape(BLOCKS, length, p).mean(axis=1)

@@ -1,4 +1,4 @@
-"""The limit of the squared distance that the baseline's own memory and tails ask for.
+"""Default limit of the squared distance, chosen from the baseline's autocorrelation and tails.
 
 Where the sets remember one another, the distance is that of what is new in each; where the tails are heavy,
 the limit allows for them. Else it is the plain F limit.
@@ -14,14 +14,14 @@ from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import HEAVY, tail_limit
 from analysis.statistics.limits import f_predictive_limit
-from analysis.statistics.memory import innovation, pooled_phi, prewhitened, significant
+from analysis.statistics.memory import innovation, pooled_phi, prewhitened, significant_phi
 from analysis.statistics.rules import NOMINAL_RATE
 from analysis.waves.record_reduction import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DefaultLimit:
-    """What the data chose.
+    """Limit chosen from the data, with the reason.
 
     Attributes
     ----------
@@ -41,18 +41,21 @@ class DefaultLimit:
     mean: FloatArray
     residuals: Baseline
     limit: float
-    because: str
+    reason: str
     tail: float
 
     def distances_squared(self, vectors: FloatArray) -> FloatArray:
-        """Squared distances of sets that begin with the baseline, shape (n, p); NaN at and for gaps."""
+        """Return squared distances of sets that start with the baseline, shape (n, p).
+
+        NaN at and for gaps.
+        """
         new = prewhitened(vectors, self.mean, self.phi) if self.phi else vectors
         known = np.asarray(np.isfinite(new).all(axis=1))
         distances = distance_squared(np.where(known[:, None], new, 0.0), self.residuals)
         return np.asarray(np.where(known, distances, np.nan))
 
     def distance_squared_after(self, vector: FloatArray, before: FloatArray, distance: int) -> float:
-        """Squared distance of one set, shape (p,), ``distance`` sets after the last complete one."""
+        """Return the squared distance of a set, shape (p,), ``distance`` sets after the last complete one."""
         new = vector
         if self.phi:
             new = innovation(vector - self.mean, before - self.mean, distance, self.phi)
@@ -60,7 +63,7 @@ class DefaultLimit:
 
 
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
-    """Choose the limit by the data.
+    """Choose the limit from the data.
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL
         Fitted to its complete rows.
     """
     n, p = baseline.n, baseline.p
-    phi = significant(pooled_phi(history), n)
+    phi = significant_phi(pooled_phi(history), n)
     residuals = baseline
     if phi:
         new = prewhitened(history, baseline.mean, phi)
@@ -88,6 +91,6 @@ def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL
         mean=baseline.mean,
         residuals=residuals,
         limit=allowing if heavy else plain,
-        because=f"{memory}, {'heavy tails: left-out limit' if heavy else 'F limit'}",
+        reason=f"{memory}, {'heavy tails: left-out limit' if heavy else 'F limit'}",
         tail=allowing / plain,
     )

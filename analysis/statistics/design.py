@@ -1,4 +1,4 @@
-"""Everything that a frozen baseline gives to judge later sets by, and one step after another.
+"""Design of a frozen baseline: limits and chart for later sets, and the recursion from set to set.
 
 `sequence` judges a whole table at once by the same design; a test compares the two.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.statistics.baseline import Baseline
-from analysis.statistics.chart import Chart, designed, unshown_memory
+from analysis.statistics.chart import Chart, design_chart, unverified_rate_reason
 from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.memory import effective_sets, pooled_phi
@@ -26,7 +26,7 @@ DAYS_PER_YEAR = 365.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """False alarms that a healthy sensor may raise.
+    """Design false-alarm budget of a healthy sensor.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Budget:
 
     @property
     def run_length(self) -> float:
-        """Sets from one false alarm to the next, on average."""
+        """Return the average number of sets between two false alarms."""
         return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
 
 
@@ -51,7 +51,7 @@ ONE_IN_FIVE_YEARS = Budget()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Design:
-    """What a baseline gives.
+    """Limits and chart of one baseline.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def design_of(
     rate: float = NOMINAL_RATE,
     least_phi: ArrayLike = 0.0,
 ) -> Design:
-    """Design limits and chart.
+    """Design limits and chart of a baseline.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ def design_of(
     run_length, rate
         See `named_limits.Facts`.
     least_phi
-        See `chart.designed`.
+        See `chart.design_chart`.
     """
-    chart, by_default = designed(history, run_length, least_phi), default_limit(history, baseline, rate)
+    chart, by_default = design_chart(history, run_length, least_phi), default_limit(history, baseline, rate)
     facts = Facts(baseline=baseline, by_default=by_default, chart=chart, rate=rate, run_length=run_length)
     phi = pooled_phi(history)
     return Design(
@@ -102,13 +102,13 @@ def design_of(
         limits=limits_of(facts),
         phi_pooled=phi,
         n_eff=effective_sets(baseline.n, phi),
-        why_not_guaranteed=unshown_memory(history),
+        why_not_guaranteed=unverified_rate_reason(history),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Memory:
-    """What the next set is judged with beside the design.
+class ChartState:
+    """State with which the next set is assessed.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Memory:
     averages
         Exponentially weighted vector of each chart, by its statistic's name.
     alarming
-        The chart's alarm is on: it was beyond its limit, and is not back yet (`next_alarming`).
+        The chart's alarm is on: it was beyond its limit, and is not back yet (`next_alarm`).
     """
 
     index: int
@@ -126,20 +126,20 @@ class Memory:
     alarming: bool = False
 
 
-def at_the_end_of(baseline: Baseline, last: FloatArray) -> Memory:
-    """Memory before the first set after a baseline, whose last complete set is ``last``."""
+def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
+    """Return the state before the first set after a baseline, whose last complete set is ``last``."""
     zero = (0.0,) * baseline.p
-    return Memory(
+    return ChartState(
         index=baseline.set_indices[-1],
         vector=tuple(last.tolist()),
         averages={AVERAGE: zero, CHART: zero},
     )
 
 
-def next_memory(
-    memory: Memory, design: Design, index: int, vector: FloatArray
-) -> tuple[Memory, dict[str, float]]:
-    """Judge one more complete set, shape (p,): the statistics by name, and what is remembered of it."""
+def next_chart_state(
+    memory: ChartState, design: Design, index: int, vector: FloatArray
+) -> tuple[ChartState, dict[str, float]]:
+    """Assess one more complete set, shape (p,): return the statistics by name and the next state."""
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
@@ -152,23 +152,26 @@ def next_memory(
     statistics = {
         DISTANCE: float(distance_squared(vector, baseline)),
         PREWHITENED: design.by_default.distance_squared_after(vector, before, distance),
-        **{name: float(sum(parts_of(z))) for name, z in averages.items()},
+        **{name: float(sum(contributions_of(z))) for name, z in averages.items()},
     }
-    return Memory(
+    return ChartState(
         index=index,
         vector=tuple(vector.tolist()),
         averages={name: tuple(z.tolist()) for name, z in averages.items()},
-        alarming=next_alarming(memory.alarming, statistics[CHART], design.limits[CHART], baseline.p),
+        alarming=next_alarm(memory.alarming, statistics[CHART], design.limits[CHART], baseline.p),
     ), statistics
 
 
-def parts_of(average: FloatArray) -> FloatArray:
-    """Parts of the features in a chart's statistic, (2 - weight)/weight |z|^2; shape (p,)."""
+def contributions_of(average: FloatArray) -> FloatArray:
+    """Return the contribution of each feature to a chart's statistic, (2 - weight)/weight |z|^2.
+
+    Shape (p,).
+    """
     return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
 
 
-def next_alarming(alarming: bool, statistic: float, limit: float, p: int) -> bool:
-    """Tell whether the chart's alarm is on: from beyond the limit until the statistic is back at p.
+def next_alarm(alarming: bool, statistic: float, limit: float, p: int) -> bool:
+    """Return whether the chart alarm is on: from above the limit until the statistic is back at p.
 
     p is its mean while the sensor is healthy, so the chart goes on as one that has begun anew: an alarm that
     ends at the limit itself would come and go, each time beyond the budget.

@@ -1,4 +1,4 @@
-"""Memory of healthy sets along directions of their own: the same whatever linear mixture the features are.
+"""Directions of autocorrelation of healthy sets: invariant under linear mixtures of the features.
 
 Features that share their scatter hide memory: a direction of little variance may remember much that no
 feature shows. So the sets are whitened and turned to where they resemble the last one most, second most, and
@@ -26,7 +26,7 @@ MOST_LAGS, SETS_PER_LAG = 20, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Directions:
-    """Directions and their memory.
+    """Directions and the autocorrelation along each.
 
     Attributes
     ----------
@@ -47,7 +47,9 @@ class Directions:
 
 
 def directions_of(vectors: ArrayLike) -> Directions:
-    """Find directions of sets, shape (n, p), in the order of time; rows of NaN are gaps and keep their place.
+    """Find directions of sets, shape (n, p), in the order of time.
+
+    Rows of NaN are gaps and keep their position.
 
     Autocorrelations scatter: of sets that remember alike along all directions, the largest and the least
     found are still far apart. What of their spread is no more than that is taken out (as by James and Stein).
@@ -62,7 +64,11 @@ def directions_of(vectors: ArrayLike) -> Directions:
     lags = max(1, min(MOST_LAGS, n // SETS_PER_LAG))
     found = _autocorrelations(np.where(complete[:, None], z @ whitening, 0.0), complete, lags)
     r, turn = np.linalg.eigh(found[0])
-    r, turn = (n * r[::-1] + 1.0) / (n - 4.0), turn[:, ::-1]  # as `memory.corrected`, before it is clipped
+    # As `memory.corrected_autocorrelation`, before it is clipped.
+    r, turn = (
+        (n * r[::-1] + 1.0) / (n - 4.0),
+        turn[:, ::-1],
+    )
     middle = float(r.mean())
     variance = (1.0 - np.clip(middle, 0.0, LARGEST_PHI) ** 2) / n
     # Of the eigenvalues of a symmetric matrix with this variance on, and half of it beside, its diagonal.
@@ -82,7 +88,10 @@ def directions_of(vectors: ArrayLike) -> Directions:
 
 
 def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> FloatArray:
-    """Symmetric part of the autocorrelation at lags from 1 on, shape (lags, p, p); gaps are rows of 0."""
+    """Return the symmetric part of the autocorrelation at lags from 1 on, shape (lags, p, p).
+
+    Gaps are rows of 0.
+    """
     n, found = int(complete.sum()), []
     for lag in range(1, lags + 1):
         pairs = int((complete[lag:] & complete[:-lag]).sum())
@@ -92,7 +101,7 @@ def _autocorrelations(whitened: FloatArray, complete: np.ndarray, lags: int) -> 
 
 
 def phi_of_averages(autocorrelations: FloatArray, n: int, directions: int = 1) -> FloatArray:
-    """Phi of the first-order memory that makes exponential averages scatter as much as this memory does.
+    """Return the phi of the AR(1) process whose exponential averages have the same variance.
 
     Their variance is I = 1 + 2 sum of (1 - weight)^k r_k times that of independent sets, and
     (1 + q)/(1 - q), q = (1 - weight) phi, for r_k = phi^k. Where independent sets hardly show as large a sum,

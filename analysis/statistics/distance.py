@@ -1,4 +1,4 @@
-"""Mahalanobis squared distance of a set from a baseline (paper, eq. 16), and what each feature adds to it."""
+"""Mahalanobis squared distance of a set from a baseline (paper, eq. 16), and each feature's contribution."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
-    """D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
+    """Return D = (x - mean)^T K^-1 (x - mean) (paper, eq. 16); NaN where a feature is missing.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def distance_squared(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
-    """Part of each feature in the squared distance: never negative, and they sum to it.
+    """Return the contribution of each feature to the squared distance: never negative, and they sum to it.
 
     The corr-max transformation: z = (x - mean) / SD, w = C^(-1/2) z with the symmetric root of the
     correlation matrix C, parts w_j^2. Of all rotations of the whitened vector it is the one whose
@@ -58,7 +58,7 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def named_contributions(vector: ArrayLike, baseline: Baseline) -> dict[str, float]:
-    """Contributions of one vector, shape (p,), by feature name."""
+    """Return the contributions of one vector, shape (p,), by feature name."""
     parts = contributions(vector, baseline)
     if parts.ndim != 1:
         raise InvalidInputError(f"vector has shape {np.shape(vector)}; it must be ({baseline.p},)")

@@ -1,4 +1,4 @@
-"""Many sensors at once: what they share is weather, and of the alarms raised only a known part is false.
+"""Assessment of many sensors at once: shared changes, and alarms with a bounded false discovery rate.
 
 A budget for each sensor lets the false alarms grow with the number of sensors. Over a period the chance of
 each chart's highest value in a healthy sensor is known, so the false discovery rate of those raised can be
@@ -36,7 +36,7 @@ RUN_LENGTHS = np.geomspace(10.0, 1e9, 17)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class SharedChange:
     """Sets in which the sensors moved together.
 
     Attributes
@@ -57,8 +57,10 @@ def _limits(n: int, p: int) -> FloatArray:
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
-def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
-    """Chance that a healthy sensor's chart rises as high within a period, after each set; never rising.
+def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
+    """Return the chance, after each set, that a healthy sensor's chart rises so high.
+
+    It never rises in a period.
 
     Parameters
     ----------
@@ -75,12 +77,14 @@ def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatAr
 
 
 def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
-    """Set at which each sensor is raised (None: never); at most ``rate`` of those are healthy, on average.
+    """Return the set at which each sensor is raised (None: never).
+
+    At most ``rate`` of them are healthy on average.
 
     Parameters
     ----------
     chances
-        Of `chance_so_far`, shape (sensors, sets).
+        Of `running_chance`, shape (sensors, sets).
     """
     p = np.asarray(chances, dtype=np.float64)
     if not 0.0 < rate < 1.0:
@@ -95,7 +99,7 @@ def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[in
 
 
 def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Give deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
+    """Return deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
 
     A feature that is constant, or never known, in the baseline has SD 1 and no deviation (NaN).
     """
@@ -110,7 +114,7 @@ def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray
 
 
 def shared_deviation(deviations: ArrayLike) -> FloatArray:
-    """Median over the sensors of each feature's deviation from its baseline, shape (sets, p).
+    """Return the median over the sensors of each feature's deviation from its baseline, shape (sets, p).
 
     Parameters
     ----------
@@ -128,8 +132,8 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
     return result
 
 
-def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Median over the sensors of the memory along their directions, shape (p,), falling.
+def typical_autocorrelation(baselines: Sequence[FloatArray]) -> FloatArray:
+    """Return the median over the sensors of the autocorrelation along their directions, shape (p,), falling.
 
     One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
     raised first of all. No feature has more memory than the first direction.
@@ -147,8 +151,8 @@ def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
 
 
-def usual_tails(baselines: Sequence[FloatArray]) -> float:
-    """Mean over the sensors of the kurtosis of their baselines, 1 for normal sets and at least.
+def typical_tails(baselines: Sequence[FloatArray]) -> float:
+    """Return the mean over the sensors of the kurtosis of their baselines, at least 1 (normal sets).
 
     Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
     E[d^4]/(p (p + 2)), d the Mahalanobis distance (Mardia 1970; for elliptical distributions).
@@ -156,7 +160,7 @@ def usual_tails(baselines: Sequence[FloatArray]) -> float:
     Parameters
     ----------
     baselines
-        As of `usual_memory`.
+        As of `typical_autocorrelation`.
     """
     found = [_kurtosis(x[np.isfinite(x).all(axis=1)].astype(np.float64)) for x in baselines]
     known = [one for one in found if one is not None]
@@ -172,8 +176,10 @@ def _kurtosis(x: FloatArray) -> float | None:
     return float((distances**2).mean() / (p * (p + 2)))
 
 
-def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int) -> tuple[Shared, ...]:
-    """Name the sets in which the average of what is shared is no chance of independent sensors.
+def find_shared_changes(
+    shared: FloatArray, n_sensors: int, phi: float, first_row: int
+) -> tuple[SharedChange, ...]:
+    """Find the sets in which the shared average is too large for independent sensors.
 
     Parameters
     ----------
@@ -186,40 +192,44 @@ def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int
     """
     if n_sensors < FEWEST_SENSORS:
         return ()
-    kept = (1.0 - WEIGHT) * phi
-    variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + kept) / (1.0 - kept)
+    decay = (1.0 - WEIGHT) * phi
+    variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + decay) / (1.0 - decay)
     limit = max(SHARED_SD, SHARED_SIGNIFICANCE * float(np.sqrt(variance)))
     average = averages(shared, np.zeros(shared.shape[1]))
     beyond = (np.abs(average) > limit).any(axis=1) & (np.arange(len(shared)) >= first_row)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
     return tuple(
-        Shared(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
+        SharedChange(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
         for a, b in zip(edges[::2], edges[1::2], strict=True)
     )
 
 
-def alike(baselines: Sequence[FloatArray]) -> FloatArray:
-    """Mean squared correlation of the features, shape (p, p): that of the errors of their SD, if normal.
+def mean_squared_correlation(baselines: Sequence[FloatArray]) -> FloatArray:
+    """Return the mean squared correlation of the features, shape (p, p).
+
+    That of their SD's errors, if normal.
 
     Parameters
     ----------
     baselines
-        As of `usual_memory`.
+        As of `typical_autocorrelation`.
     """
     known = [x[np.isfinite(x).all(axis=1)].astype(np.float64) for x in baselines]
     found = [np.corrcoef(x, rowvar=False) ** 2 for x in known if len(x) >= MINIMUM_SETS]
     return np.mean(found, axis=0) if found else np.eye(baselines[0].shape[1])
 
 
-def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple[float, float, float]:
-    """Gain of a sensor to what all share: 1 where it moves as the median does.
+def sensor_gain(
+    deviations: FloatArray, shared: FloatArray, correlation2: FloatArray
+) -> tuple[float, float, float]:
+    """Return the gain of a sensor to the shared change: 1 where it moves as the median does.
 
     Parameters
     ----------
     deviations, shared
         Of one sensor and of the fleet, shape (sets, p), after the baselines.
-    alike
-        Of `alike`.
+    correlation2
+        Of `mean_squared_correlation`.
 
     Returns
     -------
@@ -236,11 +246,15 @@ def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple
     if weight == 0.0:
         return np.nan, np.nan, np.nan
     found = float((moved * x.filled(0.0)).sum() / weight)
-    return found, 1.0 / weight, float(of_feature @ alike @ of_feature) / weight**2
+    return found, 1.0 / weight, float(of_feature @ correlation2 @ of_feature) / weight**2
 
 
-def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n: int, tails: float) -> float:
-    """Shift in SD that sensors keep of what all share, three scaled deviations from the median gain.
+def residual_shift(
+    gains: ArrayLike, causes: Sequence[SharedChange], *, phi: float, n: int, tails: float
+) -> float:
+    """Return the residual shift in SD without the shared change.
+
+    Three scaled deviations from the median gain.
 
     What sets and the SD of a baseline scatter by makes healthy sensors of equal gains unlike, too; that is
     taken off: n sets show an SD to sqrt((kurtosis - 1)/(4 n)), widened by memory.
@@ -248,7 +262,7 @@ def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n:
     Parameters
     ----------
     gains
-        Of `gain`, shape (sensors, 3).
+        Of `sensor_gain`, shape (sensors, 3).
     phi, n, tails
         Memory from set to set, sets of a baseline, and kurtosis over that of normal sets, all as is usual.
     """

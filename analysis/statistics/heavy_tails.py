@@ -1,4 +1,4 @@
-"""How far the healthy sets scatter beyond a normal distribution, and a limit that allows for it."""
+"""Scatter of healthy sets in excess of a normal distribution, and a limit that allows for it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UPPER_HALF = 0.5 + (np.arange(200) + 0.5) / 400
 
 
 def left_out_distances(distances_squared: ArrayLike) -> FloatArray:
-    """Squared distance of each baseline set from the baseline of the others, shape (n,).
+    """Return the squared distance of each baseline set from the baseline of the others, shape (n,).
 
     From D with n sets by the formula of Sherman and Morrison, u = D/(n - 1):
     (n/(n - 1))^2 (n - 2) u/(1 - n u/(n - 1)).
@@ -38,7 +38,7 @@ def left_out_distances(distances_squared: ArrayLike) -> FloatArray:
 
 
 def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> float:
-    """Limit by a scaled F distribution fitted to the left-out distances of the baseline's own sets.
+    """Return a limit from a scaled F distribution fitted to the left-out distances of the baseline's sets.
 
     Of normal sets each left-out distance over its scale is F(p, n - 1 - p). Fitted are a factor and the
     denominator's degrees of freedom, at most these, by the median of the logarithm and by how far its upper
@@ -51,15 +51,18 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
     middle, upper = float(np.median(logs)), logs[n // 2 :]
     caution = min(max(CAUTION * p, LEAST_CAUTION), MOST_CAUTION)
     reach = float(upper.mean()) - middle + caution * float(upper.std(ddof=1)) / math.sqrt(upper.size)
-    per_degree, reaches, middles = _tails(n, p)
+    per_degree, reaches, middles = _log_f_table(n, p)
     inverse = float(np.interp(reach, reaches, per_degree))
     factor = math.exp(middle - float(np.interp(inverse, per_degree, middles)))
     return float(predictive_scale(n, p) * factor * scipy.special.fdtri(p, 1.0 / inverse, 1.0 - rate))
 
 
 @lru_cache(maxsize=64)
-def _tails(n: int, p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of log F(p, v), v from n - 1 - p down to the fewest: 1/v, reach of the upper half, median; rising."""
+def _log_f_table(n: int, p: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return quantities of log F(p, v), v falling from n - 1 - p; 1/v, reach of the upper half, median.
+
+    Rising.
+    """
     most = max(float(n - 1 - p), FEWEST_DEGREES)
     per_degree = np.linspace(1.0 / most, 1.0 / FEWEST_DEGREES, 25)
     logs = np.log(scipy.special.fdtri(p, 1.0 / per_degree[:, None], UPPER_HALF))

@@ -20,7 +20,7 @@ F_PREDICTIVE = "f_predictive"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limit:
-    """One limit.
+    """Limit of the squared distance.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ def _check(n: int, p: int) -> None:
 
 
 def predictive_scale(n: int, p: int) -> float:
-    """Factor between the squared distance of a new normal set and F(p, n - p)."""
+    """Return the factor between the squared distance of a new normal set and F(p, n - p)."""
     return p * (n + 1) * (n - 1) / (n * (n - p))
 
 
 def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
-    """Exact limit for a new normal set: p (n+1)(n-1) / (n (n-p)) F(1 - rate; p, n - p).
+    """Return the exact limit for a new normal set: p (n+1)(n-1) / (n (n-p)) F(1 - rate; p, n - p).
 
     Source: Tracy, Young and Mason (1992), "Multivariate control charts for individual observations",
     Journal of Quality Technology 24(2), 88-95, doi:10.1080/00224065.1992.12015232.
@@ -71,13 +71,16 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
 
 
 def false_alarm_rate(limit: float, n: int, p: int) -> float:
-    """Chance that a new healthy normal set exceeds any fixed ``limit``, averaged over baselines of n sets."""
+    """Return the chance that a new healthy normal set exceeds ``limit``.
+
+    The mean over baselines of n sets.
+    """
     _check(n, p)
     return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / predictive_scale(n, p)))
 
 
 def paper_limit(baseline_distances_squared: ArrayLike) -> float:
-    """Limit of the paper: mean + 3 SD of the baseline's own distances (section 4, below eq. 16).
+    """Return the paper's limit: mean + 3 SD of the baseline's own distances (section 4, below eq. 16).
 
     That the paper means this, with n - 1 in the SD, is our reading. Its realised rate lies far above
     the stated .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
@@ -99,7 +102,7 @@ def paper_limit(baseline_distances_squared: ArrayLike) -> float:
 
 
 def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
-    """Limit for the baseline's own sets: (n-1)^2 / n Beta(1 - rate/n; p/2, (n-p-1)/2).
+    """Return the limit for the baseline's own sets: (n-1)^2 / n Beta(1 - rate/n; p/2, (n-p-1)/2).
 
     ``rate`` is the chance that any of the n healthy sets exceeds it (Bonferroni). Source as for
     `f_predictive_limit`.

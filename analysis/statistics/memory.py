@@ -1,7 +1,7 @@
-"""Memory of a sequence of healthy sets: how much of one set is still in the next, and taking it out.
+"""Autocorrelation of healthy sets from one set to the next, and its removal.
 
 Phi is the coefficient of a first-order autoregression. Estimated from n sets it is too small by about
-(1 + 4 phi)/n, more for a known trend of the mean; `corrected` takes that out.
+(1 + 4 phi)/n, more for a known trend of the mean; `corrected_autocorrelation` takes that out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIGNIFICANT = 1.64
 
 
 def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
-    """Autocorrelation of each feature at one lag, shape (p,).
+    """Return the autocorrelation of each feature at one lag, shape (p,).
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
     return np.asarray(np.divide(products, variance, out=np.zeros_like(products), where=variance > 0.0))
 
 
-def corrected(r: ArrayLike, n: int) -> FloatArray:
-    """Autocorrelation freed of its bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
+def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
+    """Return the autocorrelation without the bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
 
     Source: Marriott and Pope (1954), "Bias in the estimation of autocorrelations", Biometrika 41, 390-402.
     """
@@ -50,23 +50,23 @@ def corrected(r: ArrayLike, n: int) -> FloatArray:
 
 
 def pooled_phi(vectors: ArrayLike) -> float:
-    """Memory from set to set that all features share: the corrected mean of their lag-1 autocorrelations."""
+    """Return the lag-1 autocorrelation that all features share: the mean of their corrected values."""
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
-    return float(corrected(autocorrelation(vectors, 1).mean(), n))
+    return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
 
-def significant(phi: float, n: int) -> float:
-    """Return ``phi`` where independent sets would hardly show it, else 0."""
+def significant_phi(phi: float, n: int) -> float:
+    """Return ``phi`` if independent sets would hardly show it, else 0."""
     return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
 
 
 def effective_sets(n: int, phi: float) -> float:
-    """Independent sets that tell as much of the mean as ``n`` with memory: n (1 - phi)/(1 + phi)."""
+    """Return the effective number of independent sets for the mean, n (1 - phi)/(1 + phi)."""
     return n * (1.0 - phi) / (1.0 + phi)
 
 
 def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Take out what each set owes to the one before: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
+    """Remove the dependence on the previous set: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
 
     k is the distance to the last complete set, infinite for the first: e has the same variance,
     (1 - phi^2) times that of z, over any gap.
@@ -91,7 +91,7 @@ def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArr
 
 
 def innovation(z: FloatArray, before: FloatArray, distance: ArrayLike, phi: ArrayLike) -> FloatArray:
-    """Take out of deviations what they owe to those ``distance`` sets before, as `prewhitened` does.
+    """Remove from deviations the dependence on those ``distance`` sets before, as `prewhitened` does.
 
     Parameters
     ----------

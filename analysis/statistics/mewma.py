@@ -1,4 +1,4 @@
-"""Charts with memory for slow changes: MEWMA with its limit for a wanted run length, and Crosier's MCUSUM.
+"""Control charts for slow changes: MEWMA with its limit for a wanted run length, and Crosier's MCUSUM.
 
 Both take whitened vectors: independent, with covariance 1 while the sensor is healthy.
 """
@@ -29,7 +29,7 @@ REFERENCE = 1.0
 
 @lru_cache(maxsize=64)
 def average_run_length(limit: float, p: int, weight: float = WEIGHT) -> float:
-    """Average number of sets until a healthy sensor exceeds ``limit``: known baseline, zero start.
+    """Return the mean number of sets until a healthy sensor exceeds ``limit``: known baseline, zero start.
 
     Rigdon's integral equation for the squared radius of the average, solved by Gauss-Legendre quadrature in
     the radius itself. Source: Rigdon (1995), "An integral equation for the in-control average run length of a
@@ -46,7 +46,7 @@ def average_run_length(limit: float, p: int, weight: float = WEIGHT) -> float:
     x, stay = r / weight, (1.0 - weight) / weight
 
     def density(start: FloatArray) -> FloatArray:
-        """Of non-central chi-square, p degrees of freedom, in terms of roots; shape (starts, nodes)."""
+        """Return the density of non-central chi-square, p degrees of freedom, shape (starts, nodes)."""
         root, order = np.maximum(stay * start, 1e-12)[:, None], 0.5 * p - 1.0
         powers = order * np.log(x / root) + _log_bessel(order, root * x)
         return np.asarray(0.5 * np.exp(powers - 0.5 * (x - root) ** 2))
@@ -57,7 +57,7 @@ def average_run_length(limit: float, p: int, weight: float = WEIGHT) -> float:
 
 
 def _log_bessel(order: float, z: FloatArray) -> FloatArray:
-    """Logarithm of exp(-z) I_order(z), also where the function is too small for a number (many features).
+    """Return the logarithm of exp(-z) I_order(z), also where the function underflows (many features).
 
     There by its uniform expansion for large orders, Abramowitz and Stegun (1964), 9.7.7.
     """
@@ -74,7 +74,7 @@ def _log_bessel(order: float, z: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
-    """Limit of the chart for a known baseline whose healthy average run length is ``run_length`` sets."""
+    """Return the limit for a known baseline with the healthy average run length ``run_length`` in sets."""
     if not run_length > 1.0:
         raise InvalidInputError(f"run_length is {run_length}; it must be more than 1 set")
     chi_square = float(scipy.special.chdtri(p, 1.0 / run_length))
@@ -88,7 +88,7 @@ def known_limit(p: int, run_length: float, weight: float = WEIGHT) -> float:
 
 
 def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -> float:
-    """Limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
+    """Return the limit for a baseline of ``n`` sets: wider, since mean and covariance are estimates.
 
     h_n = h_inf F(n, 1/ARL)/chi2(1/ARL) [1 + (2 - weight)/(weight n)]: the first ratio stands for the
     covariance, the bracket for the mean's error, which the average takes in whole.
@@ -99,7 +99,7 @@ def estimated_limit(n: int, p: int, run_length: float, weight: float = WEIGHT) -
 
 
 def averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> FloatArray:
-    """Exponentially weighted averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), none missing."""
+    """Return the averages z_t = weight w_t + (1 - weight) z_(t-1), shape (n, p), none missing."""
     w = np.asarray(whitened, dtype=np.float64)
     before = (1.0 - weight) * np.asarray(start, dtype=np.float64)[None, :]
     filtered, _ = scipy.signal.lfilter([weight], [1.0, weight - 1.0], w, axis=0, zi=before)
@@ -107,7 +107,7 @@ def averages(whitened: ArrayLike, start: ArrayLike, weight: float = WEIGHT) -> F
 
 
 def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
-    """Statistic (2 - weight)/weight |z_t|^2 from z = 0, shape (n,); NaN and no step where a row has a NaN."""
+    """Return (2 - weight)/weight |z_t|^2 from z = 0, shape (n,); NaN and no step where a row has a NaN."""
     w = np.asarray(whitened, dtype=np.float64)
     complete = np.isfinite(w).all(axis=1)
     result = np.full(w.shape[0], np.nan)
@@ -117,7 +117,7 @@ def mewma(whitened: ArrayLike, weight: float = WEIGHT) -> FloatArray:
 
 
 def mcusum(whitened: ArrayLike, reference: float = REFERENCE) -> FloatArray:
-    """Crosier's statistic max(0, C - k), C = |s + w|, s shrunk by k each set; NaN as in `mewma`. Shape (n,).
+    """Return Crosier's max(0, C - k), C = |s + w|, s shrunk by k each set; NaN as in `mewma`. Shape (n,).
 
     Source: Crosier (1988), "Multivariate generalizations of cumulative sum quality-control schemes",
     Technometrics 30, 291-303.

@@ -1,4 +1,4 @@
-"""All limits by name: what each means, which statistic it bounds, and how a baseline gives it.
+"""All limits by name: the meaning of each, the statistic it bounds, and its computation from a baseline.
 
 A further limit is a function and an entry here: it is computed, stored with baselines and verdicts, and shown
 wherever limits are listed.
@@ -37,7 +37,7 @@ STATISTICS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Facts:
-    """What a limit may depend on.
+    """Properties of a baseline that a limit may depend on.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Facts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NamedLimit:
-    """A limit: ``value`` gives it, ``of`` is one of `STATISTICS`, ``unit`` that of both.
+    """Limit with a name: ``value`` computes it, ``of`` is one of `STATISTICS`, ``unit`` that of both.
 
     ``caveat`` says what it does not keep; empty: nothing. It ends ``words``.
     """

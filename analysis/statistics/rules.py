@@ -1,4 +1,4 @@
-"""Rules over the sequence of sets: when verdicts become an alarm, and when the wall has a hole.
+"""Alarm rules over the sequence of sets: when outliers raise an alarm, and when the wall has a hole.
 
 The configuration's defaults are those of the rules here, which load without NumPy.
 
@@ -21,7 +21,7 @@ MINIMUM_SETS = 15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmRule:
-    """On when ``k`` of the last ``n`` judged sets are outliers, off when at most ``off_at_most`` are.
+    """Alarm rule: on at ``k`` outliers in the last ``n`` assessed sets, off at ``off_at_most`` or fewer.
 
     A set that was not judged (None) does not enter the window: it neither raises nor clears. So the
     rule's rate a judged set does not depend on gaps, and a sensor that fails often cannot hide outliers.
@@ -43,7 +43,7 @@ class AlarmRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmState:
-    """Memory of the rule.
+    """State of the alarm rule.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ def next_alarm_state(
     outlier: bool | None,
     rule: AlarmRule = AlarmRule(),
 ) -> AlarmState:
-    """State after one more set; ``outlier`` is None where the set was not judged."""
+    """Return the state after one more set; ``outlier`` is None where the set was not assessed."""
     if outlier is None:
         return state
     recent = (*state.recent, bool(outlier))[-rule.n :]
@@ -71,19 +71,19 @@ def next_alarm_state(
     return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
 
 
-def decides(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
-    """Tell whether the state after these sets is theirs alone, whatever came before them.
+def determines_state(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
+    """Check whether these sets alone determine the state, independent of earlier ones.
 
     A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.
     """
-    judged = [outlier for outlier in outliers if outlier is not None]
-    counts = [sum(judged[first : first + rule.n]) for first in range(len(judged) - rule.n + 1)]
+    assessed = [outlier for outlier in outliers if outlier is not None]
+    counts = [sum(assessed[first : first + rule.n]) for first in range(len(assessed) - rule.n + 1)]
     return any(count >= rule.k or count <= rule.off_at_most for count in counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleRule:
-    """A hole: no reflected wave in ``shots`` shots of a set, in ``consecutive_sets`` sets running.
+    """Rule for a hole: ``shots`` shots without a reflected wave in ``consecutive_sets`` consecutive sets.
 
     A set without any shot (a gap) neither counts nor interrupts; a set with some shots but fewer than
     ``shots`` without reflection interrupts.
@@ -101,7 +101,7 @@ class HoleRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleState:
-    """Sets running without a reflected wave, and whether that makes a hole (for good: it does not heal)."""
+    """Consecutive sets without a reflected wave, and whether that makes a permanent hole."""
 
     sets_running: int = 0
     hole: bool = False
@@ -112,7 +112,7 @@ def next_hole_state(
     shot_flags: Sequence[Sequence[str]],
     rule: HoleRule = HoleRule(),
 ) -> HoleState:
-    """State after one more set.
+    """Return the state after one more set.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def next_hole_state(
 
 
 def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
-    """Count the sets running that gave too few valid shots, after one more set.
+    """Count the consecutive sets with too few valid shots, after one more set.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A whole sequence of sets judged at once, baseline first: every limit and chart by name, and what to doubt.
+"""Assessment of a complete sequence of sets, baseline first: every limit and chart by name, and warnings.
 
 What the recorder decides set by set is said here of a table that is complete; nothing is learned after the
 baseline.
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from analysis.errors import AnalysisError, NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.baseline_check import CORE, Named, named_in
+from analysis.statistics.baseline_check import CORE, Anomaly, find_anomalies
 from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.mewma import mcusum, mewma
@@ -30,7 +30,7 @@ SMALLEST_SD = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Assessed:
-    """What a sequence says; rows count from 0, the baseline's included.
+    """Assessment of a sequence; rows count from 0, the baseline's included.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Assessed:
     phi_pooled: float = 0.0
     tail: float = 0.0
     suspects: tuple[int, ...] = ()
-    named: tuple[Named, ...] = ()
+    named: tuple[Anomaly, ...] = ()
     left_out: tuple[tuple[int, str], ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     count: Mapping[str, int] = field(default_factory=dict)
@@ -96,7 +96,7 @@ def assess(
     textbooks: bool = True,
     least_phi: ArrayLike = 0.0,
 ) -> Assessed:
-    """Judge a sequence.
+    """Assess a sequence of sets.
 
     Parameters
     ----------
@@ -107,38 +107,41 @@ def assess(
     textbooks
         Also run the MCUSUM, which nothing here decides by.
     least_phi
-        Memory along the directions that is known from sensors like this one (`chart.designed`); a number, or
-        one for each feature.
+        Memory along the directions that is known from sensors like this one (`chart.design_chart`); a number,
+        or one for each feature.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)
     if healthy.sum() < MINIMUM_SETS:
         return Assessed(refused=_too_few(int(healthy.sum()), "rows"))
-    varies = _varies(_scaled(x, healthy)[healthy])
+    varies = _varying_columns(_scaled(x, healthy)[healthy])
     dropped = tuple(name for name, kept in zip(feature_names, varies, strict=True) if not kept)
     names = [name for name, kept in zip(feature_names, varies, strict=True) if kept]
     if not names:
         return Assessed(refused="every feature is constant in the baseline", features_dropped=dropped)
     try:
         least = np.sort(np.broadcast_to(least_phi, varies.shape))[::-1][: len(names)]
-        return _judged(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
+        return _assess(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)
 
 
 def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
-    """Columns over powers of two near their size: no digit of an answer changes, and no square overflows."""
+    """Divide columns by powers of two near their size.
+
+    No digit of a result changes, and no square overflows.
+    """
     size = np.abs(np.where(healthy[:, None] & np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
     _, exponent = np.frexp(size)
     with np.errstate(over="ignore"):  # a set that is so far off stays far off
         return np.asarray(np.clip(np.ldexp(x, -exponent), -FARTHEST, FARTHEST))
 
 
-def _too_few(n: int, what: str) -> str:
-    return f"{n} {what} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
+def _too_few(n: int, subject: str) -> str:
+    return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
-def _varies(baseline: FloatArray) -> np.ndarray:
+def _varying_columns(baseline: FloatArray) -> np.ndarray:
     present = np.isfinite(baseline)
     n = np.maximum(present.sum(axis=0), 1)
     mean = np.where(present, baseline, 0.0).sum(axis=0) / n
@@ -147,7 +150,7 @@ def _varies(baseline: FloatArray) -> np.ndarray:
     return np.asarray((spread > SMALLEST_SD * size) | ~present.any(axis=0))
 
 
-def _judged(
+def _assess(
     measured: FloatArray,
     healthy: np.ndarray,
     names: Sequence[str],
@@ -168,18 +171,18 @@ def _judged(
             f"{healthy.sum()} have"
         )
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
-    named = _named(measured[rows], x[rows], rows, names)
+    named = _find_anomalies(measured[rows], x[rows], rows, names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
     design = design_of(history, baseline, budget.run_length, least_phi=least_phi)
     followed = np.where((healthy | after)[:, None], x, np.nan)
-    judged = np.flatnonzero(after)
-    entering = design.chart.whitened(followed)[judged]
+    assessed = np.flatnonzero(after)
+    entering = design.chart.whitened(followed)[assessed]
     statistic, onsets = design.chart.run(entering)
     statistics = {
-        **_statistics(x, followed, complete, judged, design),
-        CHART: _placed(len(x), judged, statistic),
+        **_statistics(x, followed, complete, assessed, design),
+        CHART: _values_in_rows(len(x), assessed, statistic),
     }
     limits = {name: limit for name, limit in design.limits.items() if name != CHART}
     beyond = {
@@ -194,58 +197,63 @@ def _judged(
         tail=design.by_default.tail,
         suspects=baseline.suspects,
         named=named,
-        left_out=_left_out(complete, healthy, after),
+        left_out=_skipped_rows(complete, healthy, after),
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
-        default_reason=design.by_default.because,
-        onsets=tuple(int(judged[row]) for row in onsets),
+        default_reason=design.by_default.reason,
+        onsets=tuple(int(assessed[row]) for row in onsets),
         why_not_guaranteed=design.why_not_guaranteed,
         chart_limit=design.chart.limit,
         distances_squared=statistics[DISTANCE],
         mewma_textbook=statistics[AVERAGE],
-        mcusum_textbook=_placed(len(x), judged, mcusum(_whitened(x[judged], baseline)))
+        mcusum_textbook=_values_in_rows(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
         if textbooks
         else np.empty(0),
         chart=statistics[CHART],
-        unbroken=_placed(len(x), judged, replace(design.chart, limit=np.inf).run(entering)[0]),
+        unbroken=_values_in_rows(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 
-def _named(measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]) -> tuple[Named, ...]:
-    """Name what stands out of the baseline, or refuse it where next to one value the rest is none."""
+def _find_anomalies(
+    measured: FloatArray, x: FloatArray, rows: np.ndarray, names: Sequence[str]
+) -> tuple[Anomaly, ...]:
+    """Find anomalies of the baseline, or raise where the rest is negligible next to one value."""
     middle = np.quantile(measured, 0.5, axis=0, method="lower")
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        away = np.abs(measured - middle)
-        usual = np.quantile(away, CORE, axis=0)
-        times = np.nan_to_num(away.max(axis=0) / usual, nan=np.inf)
+        deviation = np.abs(measured - middle)
+        scatter = np.quantile(deviation, CORE, axis=0)
+        times = np.nan_to_num(deviation.max(axis=0) / scatter, nan=np.inf)
     at = int(times.argmax())
-    farthest = int(away[:, at].argmax())
+    farthest = int(deviation[:, at].argmax())
     lone = (
         f"{names[at]} of row {rows[farthest]} is {measured[farthest, at]:.4g}, where most of the baseline is "
-        f"within {usual[at]:.2g} of {middle[at]:.4g}: next to it the others do not scatter; correct or empty "
-        f"that cell, or leave {names[at]} out"
+        f"within {scatter[at]:.2g} of {middle[at]:.4g}: next to it the others do not scatter; correct or "
+        f"empty that cell, or leave {names[at]} out"
     )
-    if usual[at] > 0.0 and times[at] > FARTHEST:
+    if scatter[at] > 0.0 and times[at] > FARTHEST:
         raise SingularCovarianceError(lone)
     try:
-        found = named_in(x)
+        found = find_anomalies(x)
     except np.linalg.LinAlgError as error:
         alike = "in most of the baseline a feature is a combination of the others: leave one out"
-        raise SingularCovarianceError(alike if usual[at] > 0.0 else lone) from error
-    return tuple(Named(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
+        raise SingularCovarianceError(alike if scatter[at] > 0.0 else lone) from error
+    return tuple(Anomaly(kind=one.kind, rows=tuple(int(rows[row]) for row in one.rows)) for one in found)
 
 
 def _statistics(
-    x: FloatArray, followed: FloatArray, complete: np.ndarray, judged: np.ndarray, design: Design
+    x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
-    """Statistics of all rows by name, but for the chart's; ``followed`` has the baseline's and later ones."""
+    """Return all rows' statistics by name, except the chart's.
+
+    ``followed`` has the baseline's and later rows.
+    """
     baseline, by_default = design.baseline, design.by_default
     distances = np.where(complete, distance_squared(np.where(complete[:, None], x, 0.0), baseline), np.nan)
     return {
         DISTANCE: distances,
         PREWHITENED: by_default.distances_squared(followed) if by_default.phi else distances,
-        AVERAGE: _placed(len(x), judged, mewma(_whitened(x[judged], baseline))),
+        AVERAGE: _values_in_rows(len(x), assessed, mewma(_whitened(x[assessed], baseline))),
     }
 
 
@@ -253,14 +261,16 @@ def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
     return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 
-def _placed(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
+def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
     result = np.full(size, np.nan)
     result[rows] = values
     return result
 
 
-def _left_out(complete: np.ndarray, healthy: np.ndarray, after: np.ndarray) -> tuple[tuple[int, str], ...]:
-    told = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
+def _skipped_rows(
+    complete: np.ndarray, healthy: np.ndarray, after: np.ndarray
+) -> tuple[tuple[int, str], ...]:
+    missing = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
     between = np.flatnonzero(complete & ~healthy & ~after)
-    told += [(int(row), "not of the baseline, and before its end: no chart") for row in between]
-    return tuple(sorted(told))
+    missing += [(int(row), "not of the baseline, and before its end: no chart") for row in between]
+    return tuple(sorted(missing))

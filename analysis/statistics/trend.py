@@ -17,7 +17,7 @@ MINIMUM_POINTS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """A parabola ``quadratic * t^2 + linear * t + constant`` through a feature, t in hours.
+    """Parabola ``quadratic * t^2 + linear * t + constant`` through a feature, t in hours.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Trend:
     n_points: int
 
     def at(self, time_h: ArrayLike) -> FloatArray:
-        """Value at the given hours, any shape."""
+        """Return the value at the given hours, any shape."""
         t = np.asarray(time_h, dtype=np.float64)
         return (self.quadratic * t + self.linear) * t + self.constant
 
@@ -52,7 +52,7 @@ def _too_few(n_points: int, n_times: int) -> NotEnoughPointsError:
 
 
 def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
-    """Least-squares parabola; points whose value is NaN are left out.
+    """Fit a least-squares parabola; points whose value is NaN are left out.
 
     Parameters
     ----------
@@ -81,13 +81,16 @@ def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
-    """Triangular factor of matrices with four columns."""
+    """Return the triangular factor of matrices with four columns."""
     triangle: FloatArray = np.linalg.qr(rows, mode="r")  # type: ignore[assignment] # declared for one mode only
     return triangle
 
 
 def _trend(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
-    """Parabola from the triangular factor of ``[1, u, u^2, y - mean]``, shape (4, 4), u = t - origin_h."""
+    """Return the parabola from the triangular factor of ``[1, u, u^2, y - mean]``.
+
+    Shape (4, 4), u = t - origin_h.
+    """
     c, b, a = np.linalg.solve(triangle[:3, :3], triangle[:3, 3])
     # The columns of the orthogonal factor: the first is the mean, the last what no parabola reaches.
     spread, residual = float((triangle[1:, 3] ** 2).sum()), float(triangle[3, 3] ** 2)
@@ -130,7 +133,7 @@ def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
 
 
 def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
-    """Join parts along the first axis: exactly what one part of all their points would be, but for rounding.
+    """Join parts along the first axis: equal to one part of all their points, except for rounding.
 
     Parameters
     ----------
@@ -159,7 +162,7 @@ def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def trend_of_part(part: np.void) -> Trend:
-    """Least-squares parabola through the points of one part, as `fit_trend` finds it.
+    """Fit a least-squares parabola through the points of one part, as `fit_trend` does.
 
     The points are due times of sets, which all differ.
 

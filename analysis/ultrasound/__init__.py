@@ -1,1 +1,1 @@
-"""Thickness from ultrasonic echoes. What enters: methods that read a pulse-echo record."""
+"""Thickness from ultrasonic echoes: methods that evaluate a pulse-echo record."""

@@ -1,4 +1,4 @@
-"""Envelopes, correlations and picks of ultrasonic echoes: the signal processing below the thickness."""
+"""Envelopes, correlations and arrival times of ultrasonic echoes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ FACTORS = (2, 3, 5, 7, 11)
 
 
 def analytic(values: FloatArray) -> NDArray[np.complex128]:
-    """Analytic signal: negative frequencies removed, positive doubled; its modulus is the envelope."""
+    """Return the analytic signal: negative frequencies removed, positive doubled.
+
+    Its modulus is the envelope.
+    """
     n = fast_length(values.size, FACTORS)
     return np.asarray(ifft(_one_sided(fft(values, n))))[: values.size]
 
@@ -33,14 +36,14 @@ def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
-    """Correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
+    """Return the correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
     n = fast_length(values.size + template.size, FACTORS)
     product = fft(values, n) * np.conj(fft(template, n))
     return np.asarray(ifft(_one_sided(product)))[: values.size]
 
 
 def envelope_peak(envelope: FloatArray, peak: int) -> float:
-    """Peak of the envelope: vertex of the parabola through its logarithm above half height.
+    """Return the peak of the envelope: vertex of the parabola through its logarithm above half height.
 
     Exact for a Gaussian envelope. Three samples around the peak would be thirty times noisier.
     """
@@ -54,7 +57,7 @@ def envelope_peak(envelope: FloatArray, peak: int) -> float:
 
 
 def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
-    """First and last sample around ``peak`` where the envelope stays above a fraction of it."""
+    """Return the first and last sample around ``peak`` where the envelope stays above a fraction of it."""
     low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
     before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
     first = int(before[-1]) + 1 if before.size else 0
@@ -63,7 +66,7 @@ def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, 
 
 
 def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
-    """Index of the first maximum between two indices of at least a fraction of the highest there."""
+    """Return the index of the first maximum of at least a fraction of the highest in a range."""
     gate = envelope[first - 1 : last + 2]
     inner = gate[1:-1]
     floor = fraction * float(inner.max())
@@ -72,7 +75,7 @@ def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction
 
 
 def nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
-    """Lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
+    """Return the lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
 
     It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
     echo's shape has changed then.
@@ -86,13 +89,15 @@ def nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool
 
 
 def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
-    """Likeness of two stretches of record, -1..1; NaN if one of them is silent."""
+    """Return the normalised correlation of two segments, -1..1; NaN if one of them is silent."""
     norm = math.sqrt(float(segment @ segment) * float(template @ template))
     return float(segment @ template) / norm if norm > 0.0 else math.nan
 
 
 def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
-    """Cramer-Rao bound of an echo's time in white noise: noise over the root of the slope's energy.
+    """Return the Cramer-Rao bound of an echo's time in white noise.
+
+    Noise over the root of the slope's energy.
 
     The noise is read from the differences between samples, which hold little of an echo.
     """
@@ -103,7 +108,7 @@ def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
 
 
 def centre_of_gravity_hz(values: FloatArray, rate_hz: float) -> float:
-    """Centre of gravity of the power spectrum."""
+    """Return the centre of gravity of the power spectrum, Hz."""
     power = np.abs(fft(values, 8 * values.size)[: 4 * values.size]) ** 2
     frequency_hz = np.arange(power.size) * rate_hz / (8 * values.size)
     return float(power @ frequency_hz / power.sum())

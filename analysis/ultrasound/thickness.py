@@ -62,7 +62,7 @@ INTERVAL_LEAST_M = 2e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EchoReference:
-    """The first back-wall echo of the reference record.
+    """First back-wall echo of the reference record.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Thickness:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThicknessInterval:
-    """Where the mean thickness under the beam lies with 95 % confidence; NaN if there is no travel time.
+    """95 % confidence interval of the mean thickness under the beam; NaN if there is no travel time.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ def reference_echo(
     thinnest_fraction: float = THINNEST_FRACTION,
     thickest_fraction: float = THICKEST_FRACTION,
 ) -> EchoReference:
-    """Take the first back-wall echo as the reference.
+    """Return the first back-wall echo as the reference.
 
     It is the highest envelope peak within ``tolerance_fraction`` of the expected round trip around the
     expected time ``D + 2 th_0 / c``.
@@ -223,10 +223,10 @@ def reference_echo(
     )
 
 
-def standing_in(
+def substitute_reference(
     later: EchoReference, *, travel_time_s: float, reference_travel_time_s: float
 ) -> EchoReference:
-    """Let the echo of a later record stand in for a reference whose record is lost.
+    """Make a reference from the echo of a later record when the reference record is lost.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def standing_in(
 
 
 def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
-    """Travel time of the first back-wall echo of a record, by correlation with the reference echo.
+    """Return the travel time of the first back-wall echo, by correlation with the reference echo.
 
     The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
     first envelope maximum in the gate above half of the gate's largest is the first echo; the carrier
@@ -312,7 +312,7 @@ def thickness(
     initial_thickness_m: float,
     element_separation_m: float = 0.0,
 ) -> Thickness:
-    """Remaining thickness: th_0 - (UT_0 - UT) / (UT_0 - D) th_0 (paper, eq. 17).
+    """Return the remaining thickness: th_0 - (UT_0 - UT) / (UT_0 - D) th_0 (paper, eq. 17).
 
     Equation 17 takes the sound's way for straight. Between the two elements of a probe it is a V of length
     sqrt(4 th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is taken off.
@@ -360,7 +360,7 @@ def thickness_interval(
     initial_thickness_m: float,
     element_separation_m: float = 0.0,
 ) -> ThicknessInterval:
-    """Interval around the thickness of one record, for its noise and the far wall's roughness.
+    """Return the interval around the thickness of one record, for its noise and the far wall's roughness.
 
     Wave speed, delay and initial thickness are taken as exact, and so is the separation: what they are wrong
     by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a

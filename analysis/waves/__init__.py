@@ -1,1 +1,1 @@
-"""A solitary-wave record becomes pulses, features and quality flags. No statistics over sets."""
+"""Pulses, features and quality flags of a solitary-wave record. No statistics over sets."""

@@ -1,4 +1,4 @@
-"""What a striker's coil couples into the sensor's input over one strike, and the holdoff that it asks for.
+"""Voltage that a striker's coil couples into the sensor's input, and the holdoff that it requires.
 
 The record begins as the coil goes on and ends after the wave; no trigger takes part in it. A departure from
 the quiet level rings from half of the trigger level on, or from six times the noise where that is more:
@@ -42,7 +42,7 @@ Obstacle = Literal["", "noise", "ringing", "no_wave"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeSpike:
-    """What follows one edge of the coil's pulse.
+    """Voltage after one edge of the coil's pulse.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class EdgeSpike:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpikeSurvey:
-    """What one strike showed.
+    """Result of the spike measurement of one strike.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class SpikeSurvey:
 
     @property
     def takes_the_trigger(self) -> bool:
-        """Tell whether either edge would start a record that is armed over it."""
+        """Check whether either edge would trigger an armed record."""
         return self.on.triggers or self.off.triggers
 
 
@@ -114,7 +114,7 @@ def survey_spike(
     trigger_level_v: float,
     rising: bool = True,
 ) -> SpikeSurvey:
-    """Judge one strike.
+    """Assess the coil spike of one strike.
 
     Parameters
     ----------
@@ -180,20 +180,20 @@ def survey_spike(
 
 
 def _wave(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]:
-    """Find the beginning of the incident wave's front, and its height above what lies before."""
+    """Find the start of the incident wave's front, and its height above the level before it."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
-    whole = (volts.size - earliest) // block
-    means = volts[earliest : earliest + whole * block].reshape(whole, block).mean(axis=1)
+    n_blocks = (volts.size - earliest) // block
+    means = volts[earliest : earliest + n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     # A wave rises within its front, what decays does not: compare each mean with the one before the front.
-    reach = min(round(WAVE_FRONT_S / WAVE_BLOCK_S), whole - 1)
-    steepest = int((means[reach:] - means[: whole - reach]).argmax())
+    reach = min(round(WAVE_FRONT_S / WAVE_BLOCK_S), n_blocks - 1)
+    steepest = int((means[reach:] - means[: n_blocks - reach]).argmax())
     peak = steepest + int(means[steepest : steepest + 2 * reach + 1].argmax())
     front = max(peak - reach, 0)
     return earliest + front * block, float(means[peak] - means[front])
 
 
 def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float) -> EdgeSpike:
-    """Measure what follows an edge, which is at the first sample."""
+    """Measure the voltage after an edge, which is at the first sample."""
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()

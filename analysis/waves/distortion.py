@@ -1,4 +1,4 @@
-"""Shots whose wave was changed on its way into the record: tops made lower, samples closed up.
+"""Distorted shots: tops made lower by an amplifier, samples lost without a gap.
 
 One wall sends back one shape, so both show beside the set's median outline, by the pattern that they leave in
 the difference from it: small ones that no distance between records tells from scatter (`outline`).
@@ -47,13 +47,13 @@ ROWS_AT_ONCE = 64
 
 
 def is_one_wall(tofs_s: FloatArray) -> bool:
-    """Whether eight of ten shots came within `ONE_WALL_S`."""
+    """Check whether eight of ten shots arrive within `ONE_WALL_S`."""
     ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
-def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell whose top is lower than its flanks say, shape (n,): an amplifier was near its end.
+def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Find shots whose top is lower than their flanks imply, shape (n,): an amplifier near its end.
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
     which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
@@ -63,14 +63,14 @@ def flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
     if len(table) < FEWEST:
         return found
     isw = table[:, :N_ISW]
-    middle = _middle(isw)
+    middle = _median_wave(isw)
     cap = np.clip(middle - CAP, 0.0, None)
-    found |= _lowered(isw, middle, cap, _own_of([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
+    found |= _lowered(isw, middle, cap, _variation_columns([(0, FROM_ISW, middle)]), sd, LOWEST_CAP)
     if is_one_wall(tofs_s):
         both = table[:, :N_PSW]
-        middle = _middle(both)
-        own = _own_of([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
-        found |= _lowered(both, middle, middle**3, own, sd, LOWEST_BEND)
+        middle = _median_wave(both)
+        variation = _variation_columns([(0, FROM_ISW, middle[:N_ISW]), (N_ISW, FROM_PSW, middle[N_ISW:])])
+        found |= _lowered(both, middle, middle**3, variation, sd, LOWEST_BEND)
     return found
 
 
@@ -78,22 +78,22 @@ def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 
-def _middle(points: FloatArray) -> FloatArray:
-    """Median of the shots that hold all points; NaN without one."""
-    held = points[np.isfinite(points).all(axis=1)]
-    return column_medians(held) if len(held) else np.full(points.shape[1], np.nan)
+def _median_wave(points: FloatArray) -> FloatArray:
+    """Return the median of the shots that hold all points; NaN without one."""
+    complete = points[np.isfinite(points).all(axis=1)]
+    return column_medians(complete) if len(complete) else np.full(points.shape[1], np.nan)
 
 
 def _slope(wave: FloatArray) -> FloatArray:
-    """Change from point to point, shape (n,) with n >= 2: `numpy.gradient` without what it checks."""
+    """Return the change from point to point, shape (n,), n >= 2: `numpy.gradient` without its checks."""
     slope = np.empty(wave.size)
     slope[1:-1] = (wave[2:] - wave[:-2]) / 2.0
     slope[0], slope[-1] = wave[1] - wave[0], wave[-1] - wave[-2]
     return slope
 
 
-def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Columns by which a sound shot may differ from the middle: arrival of each wave, width of all."""
+def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
+    """Return columns of normal variation of a sound shot: arrival of each wave, width of all."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
@@ -104,30 +104,35 @@ def _own_of(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
 
 
 def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
+    """Return least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
 
 
 def _lowered(
-    points: FloatArray, middle: FloatArray, pattern: FloatArray, own: FloatArray, sd: FloatArray, least: float
+    points: FloatArray,
+    middle: FloatArray,
+    pattern: FloatArray,
+    variation: FloatArray,
+    sd: FloatArray,
+    least: float,
 ) -> NDArray[np.bool_]:
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
-    own = np.column_stack([middle, own])
-    pattern = pattern - own @ _fitted(own, pattern)
+    variation = np.column_stack([middle, variation])
+    pattern = pattern - variation @ _fitted(variation, pattern)
     lowered = -(points @ pattern) / np.linalg.norm(pattern)
     known = np.isfinite(lowered)
-    usual = median(lowered[known])
-    scatter2 = (MAD_TO_SD * median(np.abs(lowered[known] - usual))) ** 2
+    typical = median(lowered[known])
+    scatter2 = (MAD_TO_SD * median(np.abs(lowered[known] - typical))) ** 2
     own_scatter2 = max(0.0, scatter2 - MAD_OF_FEW * median(sd) ** 2)
     limit = np.sqrt((FLAT_SD * sd) ** 2 + FLAT_SCATTER**2 * own_scatter2)
-    return np.asarray(known & (lowered - usual > np.maximum(limit, least)))
+    return np.asarray(known & (lowered - typical > np.maximum(limit, least)))
 
 
-def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell which have lost samples after the reflected wave's top, shape (n,).
+def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Find shots that lost samples after the reflected wave's top, shape (n,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
     of the difference from it. Only shots of one wall are compared.
@@ -138,12 +143,12 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
         return found
     table, sd = _table(outlines)
     points = table[:, N_ISW:]
-    middle = _middle(points)
+    middle = _median_wave(points)
     if not np.isfinite(middle).all():
         return found
-    own = np.column_stack([middle, _slope(middle)])
+    variation = np.column_stack([middle, _slope(middle)])
     left = points - middle
-    left -= (own @ _fitted(own[:ALIGNED], left[:, :ALIGNED].T)).T
+    left -= (variation @ _fitted(variation[:ALIGNED], left[:, :ALIGNED].T)).T
     left[np.isnan(left)] = 0.0
     scatter2 = max(0.0, median((left**2).sum(axis=1) / middle.size - sd**2))
     for first in range(0, n, ROWS_AT_ONCE):
@@ -153,12 +158,12 @@ def closed_up(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.boo
 
 
 def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
-    """Look for a cut of each length behind each point; arrays below are (shots, lengths, points)."""
+    """Search for a cut of each length after each point; arrays below are (shots, lengths, points)."""
     least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)
     later = place + SHIFTS[:, None]
-    held = later <= place[-1]
-    earlier = np.where(held, np.interp(later, place, middle) - middle, 0.0)
+    inside = later <= place[-1]
+    earlier = np.where(inside, np.interp(later, place, middle) - middle, 0.0)
     left2 = left**2
     gain = left[:, None] * (2.0 * earlier) - earlier**2
     # Of what lies behind each point; the point itself is a mean of before and after.
@@ -166,6 +171,6 @@ def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: flo
     best = behind.argmax(axis=-1)
     gained = np.take_along_axis(behind, best[..., None], -1)[..., 0]
     explained = gained + np.take_along_axis(left2, best + (ALIGNED - 1), 1)
-    rest = np.einsum("ij,kj->ik", left2, held.astype(np.float64))
-    rest -= noise2[:, None] * held.sum(axis=1) + explained
+    rest = np.einsum("ij,kj->ik", left2, inside.astype(np.float64))
+    rest -= noise2[:, None] * inside.sum(axis=1) + explained
     return np.asarray(((gained > least) & (rest < UNEXPLAINED * gained)).any(axis=1))

@@ -1,4 +1,6 @@
-"""What no strike leaves in a record: a flat top, a pull, an edge, a stretch without samples, a stray pulse.
+"""Disturbances of a record that no strike causes.
+
+A flat top, a pull, an edge, missing samples, a stray pulse.
 
 A chain only pushes. Its record is a few smooth humps on a level that it leaves downwards by no more than
 the static preload, 1 % of the incident wave (twin, any depth: .9 %). Fractions are of the ISW's amplitude.
@@ -65,7 +67,7 @@ CLOSEST_ALIKE_S, STRAIGHT_CODES = 5e-6, 1.5
 
 
 def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v: float) -> bool:
-    """Whether a pulse's top is too flat to be a wave's: an amplifier was at its end.
+    """Check whether a pulse's top is too flat for a wave: an amplifier was at its end.
 
     `noise_v`, here and below, is the standard deviation of a block mean.
     """
@@ -85,7 +87,7 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float, noise_v:
 
 
 def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
-    """Whether a pulse stays at one highest value: what was before the converter could give no more."""
+    """Check whether a pulse stays at one maximum value: the signal exceeded the converter's range."""
     centre = round(record.index(time_s) * record.block_samples)
     half = round(0.5 * fwhm_s * rate_hz) if math.isfinite(fwhm_s) else 0
     top = record.samples_v[max(0, centre - half) : centre + half]
@@ -105,7 +107,7 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
 def deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
-    """How far the record falls below its quiet level, a slow drift aside, and whether no push does that.
+    """Return how far the record falls below its quiet level, and whether no push explains it.
 
     It is looked at up to `LOOKED_AFTER_PSW_S`, less strictly in the PSW's wake; the drift is a straight line.
 
@@ -141,7 +143,7 @@ def deepest_pull(
 
 
 def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: float) -> bool:
-    """Whether the record jumps: samples are lost in a flank, or an electrical pulse begins."""
+    """Check for a jump in the record: samples are lost in a flank, or an electrical pulse starts."""
     width = max(1, round(EDGE_S / record.step_s))
     per_block = EDGE_PER_WIDTH * record.step_s / isw_fwhm_s * isw_v
     noise = math.sqrt(2.0) * noise_v
@@ -162,7 +164,7 @@ def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: fl
 def drifts(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, least_fraction: float, noise_v: float
 ) -> bool:
-    """Whether the quiet stretch before the ISW or the end of the record leaves the quiet level: hum, wander.
+    """Check whether the quiet part before the ISW or the record's end leaves the quiet level: hum, drift.
 
     The stretch's 10-us means range over more, or the end lies farther off, than the stated fraction of the
     ISW and six standard deviations of noise.
@@ -178,7 +180,7 @@ def drifts(
 
 
 def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
-    """How far the record's end lies off the quiet level, by a line through that and its last short means.
+    """Return the offset of the record's end from the quiet level, by a line through its last short means.
 
     A third wave that passes there leaves some of them on the level.
     """
@@ -202,8 +204,8 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
-def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
-    """Find stretches that noise would have moved: the flags of lost samples, of a plateau, of a line.
+def noise_free_flags(record: ReducedRecord, rate_hz: float) -> set[str]:
+    """Find stretches without noise: the flags of lost samples, of a plateau, of a line.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
     """
@@ -221,7 +223,7 @@ def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
         return set()
     steps = np.diff(samples)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
-    found = _held(record, steps, shortest)
+    found = _find_constant_stretches(record, steps, shortest)
     code_v = _smallest_step(steps)
     bends = np.abs(np.diff(steps))
     if found or median(bends) < FEWEST_CODES * code_v:
@@ -230,8 +232,8 @@ def unmoved(record: ReducedRecord, rate_hz: float) -> set[str]:
     return {DISTURBED} if longest + 1 >= shortest else set()
 
 
-def _held(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
-    """Find stretches of equal samples in which the noise of all others would have been seen."""
+def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
+    """Find stretches of equal samples that are too long for the record's noise."""
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())
     edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))
@@ -241,13 +243,13 @@ def _held(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]
     least_v = NOISE_BEND_CODES * max(_smallest_step(steps), FINEST_CODE * (highest - lowest))
     noisy = (np.abs(bends[:-1]) > least_v) & (bends[:-1] * bends[1:] < 0.0)
     parts = np.array_split(noisy[~(held[:-3] | held[3:])], NOISE_PARTS)
-    usual = median(np.array([part.mean() if part.size else 0.0 for part in parts]))
-    lost = (lengths >= shortest) & (lengths * usual > FEWEST_BENDS)
+    typical = median(np.array([part.mean() if part.size else 0.0 for part in parts]))
+    lost = (lengths >= shortest) & (lengths * typical > FEWEST_BENDS)
     height_v = PLATEAU * max(highest - record.offset_v, record.offset_v - lowest)
     plateau = ((values == lowest) | (values == highest)) & (np.abs(values - record.offset_v) > height_v)
     plateau[[0, -1]] = False  # a wave comes and goes
     flags = {LOST_SAMPLES: lost & ~plateau, "clipped": lost & plateau}
-    return {flag for flag, which in flags.items() if which.any()}
+    return {flag for flag, stretches in flags.items() if stretches.any()}
 
 
 def _smallest_step(steps: FloatArray) -> float:

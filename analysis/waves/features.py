@@ -36,7 +36,7 @@ from analysis.waves.disturbance import (
     has_edge,
     is_cut,
     is_flat_topped,
-    unmoved,
+    noise_free_flags,
 )
 from analysis.waves.noise_colour import strongest_block_noise_v
 from analysis.waves.outline import Outline, outline
@@ -46,8 +46,8 @@ from analysis.waves.record_reduction import (
     MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
-    Given,
     ReducedRecord,
+    VoltRecord,
     column_medians,
     mean_weights,
     reduce_records,
@@ -108,7 +108,7 @@ class ShotFeatures:
     pull_fraction
         How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
     compared
-        The flags count what the set's other shots say already, as stored ones do (`template.compared`).
+        The flags count what the set's other shots show already, as in `template.compare_with_template`.
     outline
         The record at some points, beside which other shots' are seen; None without a reflected wave.
     sd
@@ -140,7 +140,7 @@ class ShotFeatures:
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
-        """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
+        """Return every feature by name, in the order of `ALL_FEATURE_NAMES`."""
         return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
@@ -148,12 +148,12 @@ class ShotFeatures:
         return np.array([getattr(self, name) for name in FEATURE_NAMES])
 
 
-def graded(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
-    """Give a shot its flags, in the order of `FLAGS`, and what follows from them."""
-    return replace(shot, **_grade(found))
+def with_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
+    """Set a shot's flags, in the order of `FLAGS`, and the values that follow from them."""
+    return replace(shot, **_quality_of(found))
 
 
-def _grade(found: Collection[str]) -> dict[str, Any]:
+def _quality_of(found: Collection[str]) -> dict[str, Any]:
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
     return {
@@ -194,7 +194,7 @@ class SetFeatures:
 
 
 def extract_features(waveform: Waveform, settings: ExtractionSettings = ExtractionSettings()) -> ShotFeatures:  # noqa: B008 frozen, so a shared default is safe
-    """Features of one shot.
+    """Return the features of one shot.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def extract_all(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> list[ShotFeatures]:
-    """Features of each of many shots, to the last bit those that it has alone.
+    """Return the features of each of many shots, bit-identical to those of each alone.
 
     One step after the other for all of them costs less than one shot after the other: a processor that
     repeats itself has at hand what it needs.
@@ -225,15 +225,17 @@ def extract_all(
     """
     if not all(np.isfinite(w.calibration.coefficients_v).all() for w in waveforms):
         raise RecordError("a calibration's coefficients must be finite")
-    given = [Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms]
-    return _extracted(given, settings)
+    given = [
+        VoltRecord(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms
+    ]
+    return _extract(given, settings)
 
 
 def extract_from_average(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> ShotFeatures:
-    """Features of the mean of a set's records (the paper's way), clipped if any of them is.
+    """Return the features of the mean of a set's records (the paper's way), clipped if any of them is.
 
     The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
 
@@ -270,7 +272,7 @@ def extract_from_volts(
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
     with_sd: bool = False,
 ) -> ShotFeatures:
-    """Features of a record given as volts, shape (n_samples,); see `extract_features`.
+    """Return the features of a record in volts, shape (n_samples,); see `extract_features`.
 
     Parameters
     ----------
@@ -280,12 +282,12 @@ def extract_from_volts(
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
-    given = Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
-    return _extracted([given], settings, with_sd=with_sd)[0]
+    given = VoltRecord(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
+    return _extract([given], settings, with_sd=with_sd)[0]
 
 
-def _extracted(
-    given: Sequence[Given], settings: ExtractionSettings, *, with_sd: bool = False
+def _extract(
+    given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
@@ -295,13 +297,15 @@ def _extracted(
     ]
     # What something else started looks like a wave at times, and so does what is left of a record.
     measured: list[dict[str, Any]] = [
-        _measured(record, found, settings) if {"false_trigger", "lost_samples"}.isdisjoint(flags) else {}
+        _compute_features(record, found, settings)
+        if {"false_trigger", "lost_samples"}.isdisjoint(flags)
+        else {}
         for record, found, (flags, _) in zip(records, pulses, flagged, strict=True)
     ]
     return [
         ShotFeatures(
             **values,
-            **_grade(flags),
+            **_quality_of(flags),
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
             outline=_outline(record, found),
@@ -317,9 +321,9 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: VoltRecord
 ) -> tuple[set[str], float]:
-    """Give a shot's flags, and `ShotFeatures.pull_fraction`."""
+    """Return a shot's flags, and `ShotFeatures.pull_fraction`."""
     flags, pull = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz)
     return flags | {"clipped"} if given.clipped else flags, pull
 
@@ -327,7 +331,7 @@ def _flags(
 def _flags_of_pulses(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float
 ) -> tuple[set[str], float]:
-    still = unmoved(record, rate_hz)
+    still = noise_free_flags(record, rate_hz)
     if "lost_samples" in still:
         return still, math.nan
     spiked, stirred = _at_trigger(record)
@@ -338,11 +342,11 @@ def _flags_of_pulses(
     isw = pulses.isw
     if isw is None:
         return {"false_trigger" if stirred else "missed"}, math.nan
-    found, pull = _moved(record, pulses, isw, settings, record.block_noise_v)
+    found, pull = _has_moved(record, pulses, isw, settings, record.block_noise_v)
     if found:
         # What this noise cannot do it may where it is stronger in the wave's own band.
         noise_v = strongest_block_noise_v(record, isw.time_s, isw.fwhm_s)
-        found, pull = _moved(record, pulses, isw, settings, noise_v)
+        found, pull = _has_moved(record, pulses, isw, settings, noise_v)
     found |= still
     if pulses.stray:
         found.add(DISTURBED)
@@ -360,10 +364,10 @@ def _flags_of_pulses(
     return found, pull
 
 
-def _moved(
+def _has_moved(
     record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
 ) -> tuple[set[str], float]:
-    """Look for what stands out of noise that gives a block mean the stated standard deviation."""
+    """Check for stretches that exceed noise with the stated standard deviation of a block mean."""
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
@@ -375,7 +379,7 @@ def _moved(
 
 
 def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
-    """Whether the record jumps at its trigger as no wave does, and whether it moves there at all.
+    """Check whether the record jumps at its trigger, and whether it moves there at all.
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
     a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
@@ -388,21 +392,23 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
     after = record.samples_v[trigger : trigger + front] - record.offset_v
     if before.size == 0 or after.size == 0:
         return False, False
-    height = max(_farthest(after), _farthest(before))
+    height = max(_largest_magnitude(after), _largest_magnitude(before))
     stirred = height > STIRRED_SNR * record.noise_rms_v
     if not stirred:
         return False, False
-    risen = _farthest(after[: jump + 1] - before.sum() / before.size)
-    return risen >= JUMP_PART * height and risen >= JUMP_PART * _farthest(record.blocks_v), True
+    risen = _largest_magnitude(after[: jump + 1] - before.sum() / before.size)
+    return risen >= JUMP_PART * height and risen >= JUMP_PART * _largest_magnitude(record.blocks_v), True
 
 
-def _farthest(values: FloatArray) -> float:
-    """Largest distance from zero."""
+def _largest_magnitude(values: FloatArray) -> float:
+    """Return the largest distance from zero."""
     return max(float(values.max()), -float(values.min()))
 
 
-def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> dict[str, float]:
-    """Every feature that can be had."""
+def _compute_features(
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings
+) -> dict[str, float]:
+    """Compute every available feature."""
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
     values: dict[str, float] = {}
     if isw is None:
@@ -430,7 +436,7 @@ def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSetting
 
 
 def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
-    """Integral of the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
+    """Integrate the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
     n = record.blocks_v.size
     first = min(max(record.index(centre_s - half_width_s) + 0.5, 0.0), float(n))
     last = min(max(record.index(centre_s + half_width_s) + 0.5, 0.0), float(n))
@@ -446,7 +452,7 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
 def _autocorrelated(
     record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Time of flight and coefficient by autocorrelation (module docstring); nothing where no PSW stands out.
+    """Return time of flight and coefficient by autocorrelation; empty where no PSW stands out.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
@@ -481,7 +487,7 @@ def _autocorrelated(
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Mean and standard deviation of the valid shots' features, of each without values far from the others.
+    """Return mean and standard deviation of the valid shots' features, without far outliers of each.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
     `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
@@ -512,7 +518,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         )
     table = np.array([_EVERY_FEATURE(shot) for shot in valid])
     if n_valid >= FEWEST_FOR_FAR:
-        table = _without_far(table)
+        table = _without_outliers(table)
     mean, sd = _column_statistics(table)
     reasons = []
     if n_valid < len(shots):
@@ -531,8 +537,8 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
     )
 
 
-def _without_far(table: FloatArray) -> FloatArray:
-    """Put NaN in the place of values far from their column's others."""
+def _without_outliers(table: FloatArray) -> FloatArray:
+    """Replace values far from the others of their column by NaN."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)
@@ -541,7 +547,7 @@ def _without_far(table: FloatArray) -> FloatArray:
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:
-    """Mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
+    """Return mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
     present = ~np.isnan(table)
     n = present.sum(axis=0)
     filled = np.where(present, table, 0.0)

@@ -1,4 +1,4 @@
-"""Lengths at which a Fourier transform is quick, and transforms of many rows at once."""
+"""Fast FFT lengths, and transforms of many rows at once."""
 
 from collections.abc import Callable, Hashable, Sequence
 from functools import cache
@@ -11,10 +11,10 @@ Rows = NDArray[np.float64]
 Kind = TypeVar("Kind", bound=Hashable)
 
 
-def together(
+def apply_by_kind(
     rows: Sequence[Rows], kinds: Sequence[Kind], transform: Callable[[Rows, Kind], Rows]
 ) -> list[Rows]:
-    """Do ``transform(rows, kind)`` for all rows of a kind at once: a call costs more than a row.
+    """Apply ``transform(rows, kind)`` to all rows of a kind at once: a call costs more than a row.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def together(
 
 @cache
 def fast_length(n: int, factors: tuple[int, ...] = (2, 3, 5)) -> int:
-    """Smallest length of at least ``n`` >= 1 that is a product of ``factors``.
+    """Return the smallest length of at least ``n`` >= 1 that is a product of ``factors``.
 
     As `scipy.fft.next_fast_len`, whose import a recorder's start need not wait for.
     """

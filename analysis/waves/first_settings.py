@@ -1,4 +1,4 @@
-"""What one strike of each transducer asks for: slope, trigger level, ranges, pre-trigger and holdoff.
+"""Trigger and range settings from one strike of each transducer: slope, level, ranges, pre-trigger, holdoff.
 
 Slope, level, pre-trigger and holdoff are those of all transducers of a rig, a range is each one's own.
 """
@@ -41,8 +41,8 @@ Trouble = Literal["noise", "ringing", "no_wave", "inverted", "level", "range"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Struck:
-    """What is known of one transducer.
+class StruckTransducer:
+    """Recorded strike of one transducer.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Struck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """Settings of a rig.
+    """Proposed settings of a rig.
 
     Attributes
     ----------
@@ -92,8 +92,8 @@ class Proposal:
     troubles: Mapping[str, Trouble]
 
 
-def propose(struck: Mapping[str, Struck], *, pulse_s: float, fall_s: float) -> Proposal:
-    """Judge one strike of each transducer, at least one.
+def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
+    """Propose settings from one strike of each transducer, at least one.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def propose(struck: Mapping[str, Struck], *, pulse_s: float, fall_s: float) -> P
 def shot_within(
     strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
 ) -> Waveform | None:
-    """Cut out the record that the trigger would have started; None where the level is not passed in time.
+    """Return the record that the trigger would have started; None where the level is not reached in time.
 
     Parameters
     ----------
@@ -197,17 +197,17 @@ def shot_within(
     )
 
 
-def _means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
-    """Means over blocks in which an electrical spike hardly shows, and the samples of a block."""
+def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
+    """Return means over blocks in which an electrical spike hardly shows, and the samples of a block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
-    whole = volts.size // block
-    return volts[: whole * block].reshape(whole, block).mean(axis=1), block
+    n_blocks = volts.size // block
+    return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
-def _crest(one: Struck, earliest_s: float) -> float:
-    """Largest departure, with its sign, where a wave can be."""
+def _crest(one: StruckTransducer, earliest_s: float) -> float:
+    """Return the largest deviation, with its sign, where a wave can be."""
     rate_hz = one.strike.sample_rate_hz
-    means, _ = _means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
+    means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
     return float(departures[np.abs(departures).argmax()])
 
@@ -215,7 +215,7 @@ def _crest(one: Struck, earliest_s: float) -> float:
 def _level(
     waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
 ) -> float | None:
-    """Give the one level of all transducers: of the smallest wave and the largest noise."""
+    """Return one trigger level for all transducers: from the smallest wave and the largest noise."""
     if not waves_v:
         return None
     smallest_v, noise_v = min(waves_v.values()), max(noises_v[name] for name in waves_v)
@@ -223,18 +223,18 @@ def _level(
     return float(f"{offset_v + sign * above_v:.2g}") if above_v <= FITTING_LEVEL[1] * smallest_v else None
 
 
-def _rise_s(one: Struck, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Time from where the wave stands out of the noise until the level is passed."""
+def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
+    """Return the time from the wave's first deviation until the level is reached."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
-    means, block = _means(volts, rate_hz)
+    means, block = _block_means(volts, rate_hz)
     passed = int((means >= above_v).argmax())
     quiet = np.flatnonzero(means[:passed] < noise_v)
     return (passed - int(quiet[-1]) if quiet.size else 0) * block / rate_hz
 
 
 def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
-    """Give the one holdoff and ringing of all transducers, and whose coil rings longest."""
+    """Return one holdoff and ringing for all transducers, and the one whose coil rings longest."""
     loudest = max(surveys, key=lambda name: surveys[name].off.ringing_s)
     ringing_s = math.ceil(surveys[loudest].off.ringing_s * 1e4) / 1e4
     room_s = min(survey.latest_holdoff_s for survey in surveys.values()) - ringing_s
@@ -243,8 +243,8 @@ def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float |
     return round(ringing_s + HOLDOFF_PART * room_s, HOLDOFF_DIGITS), ringing_s, loudest
 
 
-def _range(one: Struck, listens_s: float) -> tuple[float, bool, bool]:
-    """Give the smallest range with headroom, whether the record was clipped, and whether a range holds it."""
+def _range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
+    """Return the smallest range with headroom, whether the record was clipped, and whether the range fits."""
     first = round(listens_s * one.strike.sample_rate_hz)
     part = replace(one.strike, counts=one.strike.counts[first:])
     needed_v = HEADROOM * float(np.abs(part.volts()).max())

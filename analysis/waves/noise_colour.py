@@ -1,4 +1,4 @@
-"""Colour of a record's noise: its variance and memory as slow as a wave and as fast as a sample.
+"""Colour of a record's noise: variance and correlation on the time scales of a wave and of a sample.
 
 Noise that an amplifier or a filter limits in band is like from sample to sample: differences between
 neighbours see little of it, means over a pulse all of it. So its power is read
@@ -43,7 +43,7 @@ rho between two of them adds, over rho^2 (second Hermite coefficient of |x| < me
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseColour:
-    """Variances in V^2.
+    """Variances of the noise in V^2.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class NoiseColour:
 
 
 def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
-    """Read the colour of a record's noise.
+    """Estimate the colour of a record's noise.
 
     Parameters
     ----------
@@ -88,21 +88,21 @@ def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) ->
     for upper_hz in BANDS_HZ:
         inside = min(powers2.size, math.floor(2.0 * n * record.step_s * min(upper_hz, 1e12)))
         power2 = float(powers2[:inside].sum()) / max(1, inside)
-        if inside >= FEWEST_COEFFICIENTS and power2 > _by_chance(inside) * known2:
+        if inside >= FEWEST_COEFFICIENTS and power2 > _chance_mean_square(inside) * known2:
             known2 = power2
         bands.append(known2)
     level = basis[:, :N_LEVEL] @ found[:N_LEVEL]
     x = record.samples_v[: n * record.block_samples] - record.offset_v
     x -= np.repeat(level, record.block_samples)
     lags = max(1, min(round(LONGEST_MEMORY_S * record.block_samples / record.step_s), x.size // 4))
-    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _memory(x, lags)
-    if sample2 < _by_chance(x.size / memory) * white2:
+    sample2, memory = float(x @ x) / (x.size - N_LEVEL), _summed_autocorrelation(x, lags)
+    if sample2 < _chance_mean_square(x.size / memory) * white2:
         sample2 = white2
-    return _coloured(record, sample2, bands, level, memory, _memory(np.diff(x), lags) - 1.0)
+    return _coloured(record, sample2, bands, level, memory, _summed_autocorrelation(np.diff(x), lags) - 1.0)
 
 
 def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> float:
-    """Give a block mean's standard deviation in white noise as strong as this is where it is strongest.
+    """Return the standard deviation of a block mean in white noise as strong as this is at its maximum.
 
     Of what stands in a few coefficients only, as a knock, a median sees nothing.
     """
@@ -120,7 +120,7 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
 
 
 def _quiet_before(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
-    """Count the blocks before the wave."""
+    """Count the quiet blocks before the wave."""
     before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
     return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
@@ -139,14 +139,14 @@ def _coloured(
         block2=block2,
         flank2=flank2,
         slow2=slow2,
-        level2=_of_median(record.quiet_blocks, level, block2, slow2),
+        level2=_median_variance(record.quiet_blocks, level, block2, slow2),
         memory=memory,
         rms_sd=MEDIAN_SD * math.sqrt((1.0 + MEDIAN_SQUARE * of_differences) / record.samples_v.size),
     )
 
 
-def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
-    """Variance of the median of n blocks on a level that rises to the wave's foot.
+def _median_variance(n: int, level: FloatArray, block2: float, slow2: float) -> float:
+    """Return the variance of the median of n blocks on a level that rises to the wave's foot.
 
     pi s^2 / (2 n + 1.1) for white noise, n the blocks whose level is so near that noise decides their side
     (s^2 for n = 1, .45 for 3); correlated noise, sum of arcsin(rho), adds nearly what it adds to a mean.
@@ -157,15 +157,18 @@ def _of_median(n: int, level: FloatArray, block2: float, slow2: float) -> float:
     return 0.5 * math.pi * block2 / (near + 0.55) + max(0.0, slow2 - block2) / n
 
 
-def _by_chance(n: float) -> float:
-    """Mean square of n normal values of variance 1 that chance exceeds in 1 % (Wilson and Hilferty)."""
+def _chance_mean_square(n: float) -> float:
+    """Return the mean square of n unit normal values exceeded by chance in 1 % (Wilson and Hilferty)."""
     third = 2.0 / (9.0 * n)
     return (1.0 - third + CHANCE_SD * math.sqrt(third)) ** 3
 
 
 @lru_cache(maxsize=256)
 def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
-    """Orthonormal columns, shape (n, n): a constant, two of the wave's foot, cosines of rising frequency."""
+    """Return orthonormal columns, shape (n, n).
+
+    A constant, two of the wave's foot, cosines of rising frequency.
+    """
     place = np.arange(n)
     cosines = np.cos(np.pi * np.outer(place + 0.5, np.arange(1, n - N_LEVEL + 1)) / n)
     foot = np.exp(FOOT_RATE * (place - n) / fwhm_blocks)
@@ -174,8 +177,8 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
     return np.asarray(basis)
 
 
-def _memory(x: FloatArray, lags: int) -> float:
-    """Sum of squared autocorrelations of a zero-mean sequence over all lags, without what chance gives."""
+def _summed_autocorrelation(x: FloatArray, lags: int) -> float:
+    """Return the sum of squared autocorrelations over all lags, without the chance part."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

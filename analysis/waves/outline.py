@@ -1,4 +1,4 @@
-"""A record in a few dozen numbers, and shots whose record is unlike that of all others.
+"""Outline of a record in a few dozen numbers, and shots whose record is unlike that of all others.
 
 Corrosion changes the reflected wave from set to set; from strike to strike of one wall it stays, but for
 noise and what the contacts do. So a wave that no other shot resembles holds something foreign, and one that
@@ -50,7 +50,7 @@ ROWS_AT_ONCE = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline:
-    """A record's smoothed values around its waves, of the ISW's amplitude.
+    """Smoothed values of a record around its waves, relative to the ISW's amplitude.
 
     Attributes
     ----------
@@ -65,16 +65,16 @@ class Outline:
 
 
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
-    """Read a record at its points, linearly between blocks."""
+    """Sample a record at its outline points, linearly between blocks."""
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
-    _read(record, isw, FROM_ISW, stride, points[:N_ISW])
-    _read(record, psw, FROM_PSW, stride, points[N_ISW:])
+    _sample_points(record, isw, FROM_ISW, stride, points[:N_ISW])
+    _sample_points(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
     noise_v = record.block_noise_v / math.sqrt(record.smooth_blocks)
     return Outline(points=points, sd=noise_v / isw.amplitude_v)
 
 
-def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
+def _sample_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
     """Fill in the points from ``first`` on that the record holds, if it holds that one."""
     at = record.index(pulse.matched_time_s)
     begin = math.floor(at) + first * stride
@@ -86,8 +86,8 @@ def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: 
     points[: after.size] = before + (at % 1.0) * (after - before)
 
 
-def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Tell which shots no others resemble, or came earlier than all that they resemble, shape (n,).
+def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Find shots that no others resemble, or that arrived earlier than all similar ones, shape (n,).
 
     Parameters
     ----------
@@ -104,33 +104,33 @@ def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np
         others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
     distance = np.concatenate([_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1)
     nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
-    usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
-    limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
-    apart = (nearest > limit) & (nearest < math.inf)
-    apart[PSW:] &= _has_company(tofs_s, others)
-    unlike = np.asarray(apart.any(axis=0))
+    typical = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
+    limit = np.maximum(typical[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
+    is_apart = (nearest > limit) & (nearest < math.inf)
+    is_apart[PSW:] &= _is_confirmed_by_others(tofs_s, others)
+    unlike = np.asarray(is_apart.any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
-        unlike[_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
+        unlike[_find_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
     return unlike
 
 
 def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
-    """Root mean square between some rows and each of the others, shape (n_parts, n_rows, n_others).
+    """Return the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
 
     It is inf to itself, and where one of both does not hold the part.
     """
     rows = table[start : start + ROWS_AT_ONCE]
-    apart = rows[:, None] - table[others]
-    apart *= apart
-    squares = np.add.reduceat(apart, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
+    differences = rows[:, None] - table[others]
+    differences *= differences
+    squares = np.add.reduceat(differences, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
     squares[np.isnan(squares)] = math.inf
     squares[:, np.arange(start, start + len(rows))[:, None] == others] = math.inf
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether a shot's wall is seen by others, too; corrosion changes what comes after the incident wave."""
+def _is_confirmed_by_others(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Check whether other shots show the same wall; corrosion changes the part after the incident wave."""
     ordered = np.sort(tofs_s)
     if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:
         return np.ones(tofs_s.size, dtype=bool)
@@ -139,13 +139,13 @@ def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.boo
     return np.asarray(np.searchsorted(ordered, upper) - np.searchsorted(ordered, lower) >= FEWEST)
 
 
-def _early(
-    candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
+def _find_early(
+    candidates: NDArray[np.intp], similar: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
 ) -> list[int]:
-    """Give those whose reflected wave came before those like it, whose later half tells their scatter."""
+    """Find shots whose reflected wave came earlier than those of similar shots."""
     early = []
     for index in candidates.tolist():
-        like_s = np.sort(tofs_s[others[alike[index]]])
+        like_s = np.sort(tofs_s[others[similar[index]]])
         if like_s.size < FEWEST - 1:
             continue
         middle_s, later_s = like_s[like_s.size // 2], like_s[3 * like_s.size // 4]

@@ -14,8 +14,8 @@ from analysis.waves.record_reduction import (
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
-    least_after_isw_s,
     median,
+    minimum_after_isw_s,
     moving_mean,
     odd,
 )
@@ -39,7 +39,7 @@ FLANK_SMOOTHING_S = 5e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pulse:
-    """One solitary wave.
+    """Solitary wave in a record.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pulses:
-    """The solitary waves of one record; None where there is none.
+    """Solitary waves of one record; None where there is none.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         return Pulses()
     floor = settings.no_psw_below_sigmas * record.matched_noise_v
     isw_index = record.index(isw.matched_time_s)
-    psw = _leading(
+    psw = _first_pulse(
         record,
         maxima,
         isw_index + settings.psw_earliest_s / record.step_s,
@@ -143,7 +143,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)
-        ssw = _leading(
+        ssw = _first_pulse(
             record,
             maxima,
             psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
@@ -161,15 +161,15 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
 
 
 def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
-    """Width of a record's highest pulse before anything else is known of it.
+    """Return the width of a record's highest pulse before anything else is known of it.
 
     NaN where it has no flanks, or is no more than noise makes.
     """
     block = max(1, math.floor(1e-6 * sample_rate_hz))
-    whole = samples_v.size // block
-    if not whole:
+    n_blocks = samples_v.size // block
+    if not n_blocks:
         return math.nan
-    blocks = samples_v[: whole * block].reshape(whole, block).mean(axis=1)
+    blocks = samples_v[: n_blocks * block].reshape(n_blocks, block).mean(axis=1)
     flanks = moving_mean(
         blocks - median(blocks[: max(1, pretrigger_samples // block)]),
         odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
@@ -183,7 +183,7 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
 def search_windows_s(
     isw_time_s: float, psw_time_s: float | None, settings: ExtractionSettings
 ) -> dict[str, tuple[float, float]]:
-    """Tell where pulses were looked for: the window around the ISW, then those of PSW and SSW.
+    """Return the search windows: around the ISW, then those of PSW and SSW.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _find_isw(
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
-    pulse = _measure(record, first)
+    pulse = _measure_pulse(record, first)
     if pulse is None or pulse.amplitude_v < settings.missed_below_snr * record.noise_rms_v:
         return None
     if pulse.fwhm_s < settings.spike_width_ratio * settings.isw_fwhm_s:
@@ -218,10 +218,10 @@ def _find_isw(
 
 
 def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
-    """Whether a reflected wave would be in the record; in one too short for its window, a sound wall's."""
+    """Check whether the record has room for a reflected wave, or for a sound wall's if it is short."""
     window_s = settings.psw_latest_s + settings.window_half_width_s
     if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
-        window_s = min(window_s, least_after_isw_s(settings))
+        window_s = min(window_s, minimum_after_isw_s(settings))
     return record.end_s - isw.matched_time_s >= window_s
 
 
@@ -231,27 +231,27 @@ def _maxima(values: FloatArray) -> list[int]:
     return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
 
-def _leading(
+def _first_pulse(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
-    """First pulse between two indices of at least ``fraction`` of the highest there and above ``floor``."""
+    """Return the first pulse in a range above ``floor`` and above ``fraction`` of the highest there."""
     found = [index for index in maxima if first <= index <= last]
     inside = list(zip(found, record.matched_v[found].tolist(), strict=True)) if found else []
     highest = max((height for _, height in inside), default=0.0)
     if highest <= 0.0:
         return None
-    pulse = _measure(record, next(index for index, height in inside if height >= fraction * highest))
+    pulse = _measure_pulse(record, next(index for index, height in inside if height >= fraction * highest))
     return None if pulse is None or pulse.amplitude_v < floor else pulse
 
 
 def parabola_peak(before: float, centre: float, after: float) -> float:
-    """Offset of a parabola's maximum from the middle one of three equally spaced values, in samples."""
+    """Return the offset of a parabola's maximum from the middle of three equidistant values, in samples."""
     curvature = before - 2.0 * centre + after
     return 0.0 if curvature >= 0.0 else 0.5 * (before - after) / curvature
 
 
-def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
-    """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
+def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
+    """Return quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
     before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
     shift = parabola_peak(before, centre_v, after)
@@ -263,7 +263,7 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
     peak = low + int(smooth[low : centre + near + 1].argmax())
-    first, last = _above(smooth, peak, 0.5 * float(smooth[peak]))
+    first, last = _stretch_above(smooth, peak, 0.5 * float(smooth[peak]))
     if last - first < 6:
         return None
     fit = _quartic_maximum(near_pulse[first : last + 1])
@@ -285,8 +285,8 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     )
 
 
-def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
-    """First and last index of the stretch around ``peak`` that stays above ``level``.
+def _stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
+    """Return the first and last index of the stretch around ``peak`` that stays above ``level``.
 
     The last lies before the first if ``peak`` itself does not.
     """
@@ -299,11 +299,11 @@ def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
 
 
 def _width_at(values: FloatArray, peak: int, level: float) -> float:
-    """Distance in samples between the linearly interpolated crossings of ``level`` around ``peak``.
+    """Return the width in samples between the interpolated crossings of ``level`` around ``peak``.
 
     0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
     """
-    first, last = _above(values, peak, level)
+    first, last = _stretch_above(values, peak, level)
     if last < first:
         return 0.0
     if first == 0 or last == values.size - 1:
@@ -316,7 +316,7 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
 @lru_cache(maxsize=1024)
 def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
-    """Design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
+    """Return the design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
     for array in (design, solver):
@@ -325,7 +325,7 @@ def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
-    """Place on -1..1, height and second derivative of the least-squares quartic's maximum, if it has one."""
+    """Return position on -1..1, height and second derivative of the fitted quartic's maximum, if any."""
     n = values.size
     design, solver = quartic_design(n)
     coefficients = solver @ values
@@ -350,7 +350,7 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
 def _extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
-    """Whether there is a second strike, a PSW merged with another wave, and a pulse that no strike leaves.
+    """Check for a second strike, a PSW merged with another wave, and a pulse that no strike causes.
 
     `noise_v` is the standard deviation of a block mean.
     """
@@ -385,7 +385,7 @@ def _extra_pulses(
 def _second_reflection(
     record: ReducedRecord, maxima: list[int], isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> bool:
-    """Whether the wall sends back a second strike, too, whose own wave the first one's reflection hides.
+    """Check for the reflection of a second strike whose own wave is hidden by the first reflection.
 
     It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
     the second strike than the first. The PSW hides one that came about its time of flight after the first.
@@ -406,13 +406,13 @@ def _second_reflection(
 
 def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
     """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
-    kept: list[int] = []
+    accepted: list[int] = []
     for index in _maxima(np.maximum(values, floor)):
-        if kept:
-            lowest = float(values[kept[-1] : index].min())
-            if min(values[kept[-1]], values[index]) - lowest < valley:
-                if values[index] > values[kept[-1]]:
-                    kept[-1] = index
+        if accepted:
+            lowest = float(values[accepted[-1] : index].min())
+            if min(values[accepted[-1]], values[index]) - lowest < valley:
+                if values[index] > values[accepted[-1]]:
+                    accepted[-1] = index
                 continue
-        kept.append(index)
-    return kept
+        accepted.append(index)
+    return accepted

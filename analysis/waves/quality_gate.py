@@ -1,4 +1,4 @@
-"""Quality gate of a shot: which strikes are worth repeating, and which attempt counts.
+"""Quality check of a shot: which strikes are worth a repeat, and which attempt counts.
 
 A poor strike (nothing triggered, struck twice, clipped, ...) is repeated at once instead of being
 averaged in or silently dropped. Both records stay; one of them counts. The number of repetitions in a
@@ -57,7 +57,7 @@ _RANK = {"bad": 0, "suspect": 1, "good": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestrikeRule:
-    """Repeat a shot with one of ``flags`` once, at most ``restrikes_per_set`` times in a set.
+    """Rule to repeat a shot with one of ``flags`` once, at most ``restrikes_per_set`` times in a set.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class RestrikeRule:
             )
 
     def wants(self, shot_flags: Sequence[str], *, attempt: int, restrikes_so_far: int) -> bool:
-        """Say whether a shot is to be struck again.
+        """Return whether to repeat a shot.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class RestrikeRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One record of a shot: which shot of the set, which attempt, how good."""
+    """One record of a shot: index of the shot in the set, attempt, quality."""
 
     shot_index: int
     attempt: int
@@ -107,7 +107,7 @@ class Attempt:
 
 
 def outcomes(attempts: Sequence[Attempt]) -> list[str]:
-    """Say ``accepted`` or ``superseded`` of each record: of a shot's attempts the best one counts.
+    """Return ``accepted`` or ``superseded`` for each record: of a shot's attempts the best one counts.
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
     """

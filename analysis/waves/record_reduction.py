@@ -17,7 +17,7 @@ from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.fft_length import fast_length, together
+from analysis.waves.fft_length import apply_by_kind, fast_length
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ USUAL_MEDIAN_BIN = 54
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtractionSettings:
-    """Where and how pulses are looked for; the defaults suit the paper's disk-sensor transducer.
+    """Search windows and limits for pulses; the defaults suit the paper's disk-sensor transducer.
 
     Windows count from the ISW's peak. Fractions are of the ISW's amplitude.
     """
@@ -121,13 +121,13 @@ class ExtractionSettings:
 
     @property
     def kernel_width_s(self) -> float:
-        """Width W of the matched filter's kernel cos^4(pi t / W), 178 us by default."""
+        """Return the width W of the matched filter's kernel cos^4(pi t / W), 178 us by default."""
         return KERNEL_WIDTH_PER_FWHM * self.isw_fwhm_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedRecord:
-    """A record as block means without its offset.
+    """Record as block means without its offset.
 
     Attributes
     ----------
@@ -166,39 +166,45 @@ class ReducedRecord:
 
     @property
     def end_s(self) -> float:
-        """Where the record ends, from the trigger."""
+        """Return the end of the record, from the trigger."""
         return self.time_s(self.blocks_v.size - 0.5)
 
     def time_s(self, index: float) -> float:
-        """Time from the trigger of a (fractional) block index."""
+        """Return the time from the trigger of a (fractional) block index."""
         return self.first_s + index * self.step_s
 
     def index(self, time_s: float) -> float:
-        """Fractional block index of a time from the trigger."""
+        """Return the fractional block index of a time from the trigger."""
         return (time_s - self.first_s) / self.step_s
 
 
 def odd(width: float) -> int:
-    """Nearest odd number, at least 1."""
+    """Return the nearest odd number, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred mean of ``width`` (odd) neighbours, shape (n,) with n >= width; zeros outside the record."""
+    """Return centred means of ``width`` (odd) neighbours, shape (n,), n >= width.
+
+    Zeros outside the record.
+    """
     # Equal weights: correlation is convolution, without its reversal of an array.
     return np.correlate(values, mean_weights(width), "same")
 
 
 @lru_cache(maxsize=64)
 def mean_weights(width: int) -> FloatArray:
-    """Equal weights whose sum is 1, shape (width,)."""
+    """Return equal weights whose sum is 1, shape (width,)."""
     weights = np.full(width, 1.0 / width)
     weights.flags.writeable = False
     return weights
 
 
 def median(values: FloatArray) -> float:
-    """Median of numbers, shape (n,) with n >= 1: NumPy's digits without its search for NaN and axes."""
+    """Return the median of numbers, shape (n,), n >= 1.
+
+    NumPy's digits without its search for NaN and axes.
+    """
     upper = values.size // 2
     if values.size % 2:
         return float(np.partition(values, upper)[upper])
@@ -207,13 +213,13 @@ def median(values: FloatArray) -> float:
 
 
 def column_medians(table: FloatArray) -> FloatArray:
-    """Median of each column, shape (n, m) with n >= 1: NumPy's digits without its search for NaN."""
+    """Return the median of each column, shape (n, m), n >= 1: NumPy's digits without its search for NaN."""
     ordered, upper = np.sort(table, axis=0), len(table) // 2
     return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
 def kernel(width_blocks: float) -> FloatArray:
-    """Weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
+    """Return weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
     return weights / float(weights @ weights)
@@ -221,14 +227,14 @@ def kernel(width_blocks: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def noise_gain(width_blocks: float) -> float:
-    """Give the standard deviation of the matched filter's output for white noise of 1."""
+    """Return the standard deviation of the matched filter's output for white noise of 1."""
     weights = kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0."""
+    """Return the spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0."""
     weights = kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
@@ -265,7 +271,7 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
 
 
 def noise_rms(samples_v: FloatArray) -> float:
-    """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset.
+    """Return the white noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum, offset.
 
     The median is sought in bins of 1/64 of the mean, linearly inside a bin, from where it usually lies: a few
     counts cost a sixth of a partition. Where few large differences make the mean, the bins are too wide and
@@ -290,7 +296,7 @@ def noise_rms(samples_v: FloatArray) -> float:
 
 
 def fine_noise(blocks_v: FloatArray) -> float:
-    """White noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
+    """Return the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
@@ -298,7 +304,10 @@ def fine_noise(blocks_v: FloatArray) -> float:
 
 
 def block_noise(blocks_v: FloatArray, white_v: float) -> float:
-    """Noise of a block mean: what white noise gives it, or `fine_noise` where that is more than by chance."""
+    """Return the noise of a block mean.
+
+    From white noise, or `fine_noise` where that is significantly larger.
+    """
     differences = _third_differences(blocks_v)
     limit_v = LEAST_EXCESS * white_v * THIRD_DIFFERENCE / MAD_TO_SD
     # Counting costs less than finding the median.
@@ -309,7 +318,7 @@ def block_noise(blocks_v: FloatArray, white_v: float) -> float:
 
 
 def _third_differences(blocks_v: FloatArray) -> FloatArray:
-    """Absolute values of a - 3 b + 3 c - d, shape (n - 3,)."""
+    """Return absolute values of a - 3 b + 3 c - d, shape (n - 3,)."""
     differences = blocks_v[2:-1] - blocks_v[1:-2]
     differences *= -3.0
     differences += blocks_v[3:]
@@ -318,8 +327,8 @@ def _third_differences(blocks_v: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
-    """A record in volts, shape (n_samples,); `clipped`: it touches an end of the ADC's range."""
+class VoltRecord:
+    """Record in volts, shape (n_samples,); `clipped`: it touches an end of the ADC's range."""
 
     samples_v: FloatArray
     sample_rate_hz: float
@@ -327,8 +336,8 @@ class Given:
     clipped: bool = False
 
 
-def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list[ReducedRecord]:
-    """Block means, quiet level, noise and matched filter of each record.
+def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) -> list[ReducedRecord]:
+    """Compute block means, quiet level, noise and matched filter of each record.
 
     The quiet level is the median of the block means before the trigger that also lie at least
     3/4 FWHM before the first rise to half of the record's extreme: the foot of an ISW that itself fired the
@@ -342,12 +351,12 @@ def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list
         search windows.
     """
     levelled = [
-        _levelled(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
+        _remove_offset(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
     ]
     blocks = [one["blocks_v"] for one in levelled]
     widths = [settings.kernel_width_s / one["step_s"] for one in levelled]
     kinds = [(width, row.size) for width, row in zip(widths, blocks, strict=True)]
-    matched = together(blocks, kinds, lambda rows, kind: matched_filter(rows, kind[0]))
+    matched = apply_by_kind(blocks, kinds, lambda rows, kind: matched_filter(rows, kind[0]))
     return [
         ReducedRecord(
             **one,
@@ -358,17 +367,17 @@ def reduce_records(given: Sequence[Given], settings: ExtractionSettings) -> list
     ]
 
 
-def _levelled(
+def _remove_offset(
     samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int, settings: ExtractionSettings
 ) -> dict[str, Any]:
-    """All of a `ReducedRecord` but what its matched filter gives."""
+    """Compute all fields of a `ReducedRecord` except the matched filter's."""
     block_samples = max(1, math.floor(settings.block_s * sample_rate_hz * (1.0 + 1e-9)))
     step_s = block_samples / sample_rate_hz
     _check_record(samples_v.size, sample_rate_hz, pretrigger_samples, step_s, settings)
     n_blocks = samples_v.size // block_samples
-    whole = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
+    complete_blocks = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
     # einsum, not matmul: a threaded BLAS on a busy machine waits milliseconds for its threads.
-    blocks = np.einsum("ij->i", whole) / block_samples
+    blocks = np.einsum("ij->i", complete_blocks) / block_samples
 
     pretrigger_blocks = max(1, pretrigger_samples // block_samples)
     level = median(blocks[:pretrigger_blocks])
@@ -397,8 +406,11 @@ def _levelled(
     }
 
 
-def least_after_isw_s(settings: ExtractionSettings) -> float:
-    """Give what a sound wall's reflected wave needs; a record's end decides how much later one is sought."""
+def minimum_after_isw_s(settings: ExtractionSettings) -> float:
+    """Return the minimum time from ISW to a sound wall's reflected wave.
+
+    The record's end bounds the search.
+    """
     return settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
 
 
@@ -422,7 +434,7 @@ def _check_record(
             f"at least {FEWEST_BLOCKS} are needed: sample at {FEWEST_BLOCKS / settings.isw_fwhm_s:.3g} Hz "
             "or more"
         )
-    needed_s = least_after_isw_s(settings)
+    needed_s = minimum_after_isw_s(settings)
     after_s = (n_samples - pretrigger_samples) / sample_rate_hz
     if after_s < needed_s:
         raise RecordError(

@@ -1,4 +1,4 @@
-"""A shot beside its transducer's own waves: those of the frozen baseline, or of the other shots.
+"""Comparison of a shot with its transducer's own waves: those of the frozen baseline, or the other shots.
 
 Corrosion leaves the incident wave exactly as it was and only delays the reflected one. So a record whose
 incident wave is not the transducer's is none of its strikes, whatever follows in it.
@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from analysis.waves.distortion import closed_up, flattened
-from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
-from analysis.waves.outline import unlike_others
+from analysis.waves.distortion import find_flattened, find_lost_samples
+from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, with_flags
+from analysis.waves.outline import find_unlike_others
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
 
@@ -66,7 +66,7 @@ LEARNT_FROM = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Template:
-    """A transducer's own waves.
+    """Typical waves of a transducer.
 
     Attributes
     ----------
@@ -92,8 +92,8 @@ class Template:
     isw_time_sd_s: float = 0.0
 
 
-def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Medians and other quantiles of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
+def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
+    """Compute medians and other quantiles of the valid shots; None for fewer than `FEWEST_SHOTS`."""
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -115,13 +115,13 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
 
 
 def _quantile(ordered: FloatArray, part: float) -> FloatArray:
-    """Quantile of each column of sorted numbers, linear between two: `numpy.quantile` takes a set's time."""
+    """Return a quantile of each column of sorted numbers, linear between two: `numpy.quantile` is slow."""
     place = part * (len(ordered) - 1)
     low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
     return np.asarray(low + (place % 1.0) * (high - low))
 
 
-def without_residue(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
+def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float | None) -> list[ShotFeatures]:
     """Flag shots ``no_psw`` whose reflection is too weak for any wall; the incident wave's values stay.
 
     Parameters
@@ -130,13 +130,16 @@ def without_residue(shots: Sequence[ShotFeatures], usual_ratio: float | None) ->
         Amplitude ratio of the transducer's baseline; None: not known.
     """
     limit = WEAKEST_REFLECTION * (usual_ratio or 0.0)
-    return [_silent(shot) if shot.amplitude_ratio < limit and not shot.compared else shot for shot in shots]
+    return [
+        _has_no_reflection(shot) if shot.amplitude_ratio < limit and not shot.compared else shot
+        for shot in shots
+    ]
 
 
-def _silent(shot: ShotFeatures) -> ShotFeatures:
+def _has_no_reflection(shot: ShotFeatures) -> ShotFeatures:
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
-    return graded(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
+    return with_flags(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
 
 
 def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
@@ -145,24 +148,26 @@ def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
     return replace(shot, **nothing)
 
 
-def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Compare shots of one transducer with its own waves, then with one another (`outline`, `distortion`)."""
-    usual = None if template is None else template.amplitude_ratio
-    found = [compared(shot, template) for shot in without_residue(shots, usual)]
+def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
+    """Compare shots of one transducer with its template, then with one another (`outline`, `distortion`)."""
+    typical_ratio = None if template is None else template.amplitude_ratio
+    found = [
+        compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
+    ]
     seen = {
         index: shot.outline
         for index, shot in enumerate(found)
         if shot.valid and not shot.compared and shot.outline is not None
     }
     outlines, tofs_s = [*seen.values()], np.array([found[index].tof_mf_s for index in seen])
-    foreign = unlike_others(outlines, tofs_s) | closed_up(outlines, tofs_s)
-    for flag, told in ((DISTURBED, foreign), ("clipped", flattened(outlines, tofs_s) & ~foreign)):
-        for index in compress(seen, told):
-            found[index] = graded(found[index], {*found[index].flags, flag})
+    foreign = find_unlike_others(outlines, tofs_s) | find_lost_samples(outlines, tofs_s)
+    for flag, flagged in ((DISTURBED, foreign), ("clipped", find_flattened(outlines, tofs_s) & ~foreign)):
+        for index in compress(seen, flagged):
+            found[index] = with_flags(found[index], {*found[index].flags, flag})
     return found
 
 
-def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
+def compare_with_template(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     """Flag a shot whose incident wave is not the transducer's, or whose reflection came too early.
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
@@ -173,9 +178,9 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     # A plateau widens a wave, two strikes in one do too: those are told already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
-        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrived_otherwise(shot, template)
+        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrival_differs(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
-        return graded(_of_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
+        return with_flags(_of_incident_wave(shot), {*shot.flags, "missed"} - {"no_psw"})
     found = set(shot.flags)
     height = shot.isw_amplitude_v / template.isw_amplitude_v
     if height < LOWERED and width * height**WIDTH_POWER > WIDENED:
@@ -192,13 +197,13 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
         # What the wall merges it merges in most shots.
         if "psw_merged" in found and not template.merged and later < LATEST_MERGED:
             found.add("double")
-    usual = template.amplitude_ratio
-    if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
+    typical_ratio = template.amplitude_ratio
+    if typical_ratio is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * typical_ratio:
         found.add("double")
-    return shot if len(found) == len(shot.flags) else graded(shot, found)
+    return shot if len(found) == len(shot.flags) else with_flags(shot, found)
 
 
-def _arrived_otherwise(shot: ShotFeatures, template: Template) -> bool:
+def _arrival_differs(shot: ShotFeatures, template: Template) -> bool:
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)

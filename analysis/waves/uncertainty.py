@@ -1,4 +1,4 @@
-"""Standard deviation that a record's own noise gives each feature, propagated to first order.
+"""Standard deviation of each feature from the record's own noise, propagated to first order.
 
 With s the noise of a block mean in the band that an estimate takes in (`noise_colour`), n blocks in a window:
 
@@ -38,7 +38,7 @@ sech^2 1.88), itself."""
 def standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Give the standard deviation of each feature that there is.
+    """Return the standard deviation of each available feature.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def standard_deviations(
     times, heights = {}, {}
     for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
         if pulse is not None and pulse.regular:
-            times[name], heights[name] = _top(pulse, s2, record.step_s)
+            times[name], heights[name] = _quartic_variances(pulse, s2, record.step_s)
             if pulse.amplitude_v > STANDS_OUT * math.sqrt(heights[name]):
                 found[f"{name}_time_s"] = math.sqrt(times[name])
             found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
@@ -66,7 +66,9 @@ def standard_deviations(
     if psw is None:
         return found
     ratio, isw_v = psw.amplitude_v / isw.amplitude_v, isw.amplitude_v
-    found["tof_mf_s"] = math.sqrt(_matched(isw, record, settings, s2) + _matched(psw, record, settings, s2))
+    found["tof_mf_s"] = math.sqrt(
+        _matched_time_variance(isw, record, settings, s2) + _matched_time_variance(psw, record, settings, s2)
+    )
     if "isw" in heights and "psw" in heights:
         found["tof_pp_s"] = math.sqrt(times["isw"] + times["psw"])
         of_tops = heights["psw"] + ratio**2 * heights["isw"]
@@ -81,14 +83,14 @@ def standard_deviations(
     if math.isfinite(values["tof_ac_s"]) and isw.fwhm_s > 0.0 and psw.fwhm_s > 0.0:
         slopes = [SLOPE_ENERGY * one.amplitude_v**2 * record.step_s / one.fwhm_s for one in (isw, psw)]
         found["tof_ac_s"] = record.step_s * math.sqrt(s2 * sum(1.0 / slope for slope in slopes))
-        found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient(
+        found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient_sd(
             record, isw, ratio, values["tof_ac_s"] + 2.0 * settings.window_half_width_s, noise
         )
     return found
 
 
-def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
-    """Variances of time and height of a pulse's quartic."""
+def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
+    """Return the variances of time and height of a pulse's quartic."""
     u, inverse = pulse.top_place, _inverse(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
     slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
@@ -99,13 +101,15 @@ def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=1024)
 def _inverse(n: int) -> FloatArray:
-    """(X^T X)^-1 of the quartic on n points, shape (5, 5)."""
+    """Return (X^T X)^-1 of the quartic on n points, shape (5, 5)."""
     _, solver = quartic_design(n)
     return np.asarray(solver @ solver.T)
 
 
-def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float) -> float:
-    """Variance of a matched-filter time."""
+def _matched_time_variance(
+    pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
+) -> float:
+    """Return the variance of a matched-filter time."""
     if pulse.matched_curvature_v >= 0.0:
         return math.nan
     slope2 = s2 * _kernel_slope_energy(settings.kernel_width_s / record.step_s)
@@ -114,14 +118,16 @@ def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, 
 
 @lru_cache(maxsize=64)
 def _kernel_slope_energy(width_blocks: float) -> float:
-    """Sum of squares of the matched filter's central differences."""
+    """Return the sum of squares of the matched filter's central differences."""
     weights = np.pad(kernel(width_blocks), 2)
     slopes = 0.5 * (weights[2:] - weights[:-2])
     return float(slopes @ slopes)
 
 
-def _coefficient(record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour) -> float:
-    """Relative standard deviation of the autocorrelation coefficient."""
+def _coefficient_sd(
+    record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, noise: NoiseColour
+) -> float:
+    """Return the relative standard deviation of the autocorrelation coefficient."""
     both = 1.0 + ratio**2
     energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
     of_ratio = noise.slow2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from analysis.statistics.baseline import ADVISED_SETS
-from analysis.statistics.baseline_check import Named, named_in
+from analysis.statistics.baseline_check import Anomaly, find_anomalies
 from daq_service.assessment.solitary_wave_step import Rules, State
 
 GOOD_SETS = 200
@@ -47,16 +47,16 @@ def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
         "named": [
             {"kind": one.kind, "set_indices": [indices[row] for row in one.rows]} for one in named or ()
         ],
-        "default_because": design.by_default.because,
+        "default_because": design.by_default.reason,
         "false_alarms_per_sensor_year": rules.false_alarms_per_sensor_year,
         "rate_guaranteed": not design.why_not_guaranteed,
         "why_not_guaranteed": design.why_not_guaranteed or None,
     }
 
 
-def _named(state: State) -> tuple[Named, ...] | None:
+def _named(state: State) -> tuple[Anomaly, ...] | None:
     """Name what stands out; None: most of the sets do not scatter in some direction."""
     try:
-        return named_in(np.array([found.vector() for found in state.healthy]))
+        return find_anomalies(np.array([found.vector() for found in state.healthy]))
     except np.linalg.LinAlgError:  # as of records that are played back again and again
         return None

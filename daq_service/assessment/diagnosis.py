@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.diagnosis.diagnose import UNDETERMINED, Diagnosis, diagnosis_of, remembering
+from analysis.diagnosis.diagnose import UNDETERMINED, Diagnosis, diagnosis_of, state_with_diagnosis
 from analysis.diagnosis.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
 from analysis.diagnosis.slopes import COMPONENTS
@@ -181,7 +181,7 @@ def _said(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
     assessment = diagnosis_of(memory, design, suspicious=suspicious)
-    return remembering(memory, assessment), assessment
+    return state_with_diagnosis(memory, assessment), assessment
 
 
 def words_of(cause: str, abrupt: float) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from analysis.ultrasound.thickness import (
     ThicknessInterval,
     TravelTime,
     reference_echo,
-    standing_in,
+    substitute_reference,
     thickness,
     thickness_interval,
     travel_time,
@@ -56,7 +56,7 @@ class PulseEchoAssessor:
         assert reading.travel_time_s is not None
         assert reading.thickness_m is not None
         assert first.travel_time_s is not None
-        self._reference = standing_in(
+        self._reference = substitute_reference(
             self._take_reference(waveform, reading.thickness_m),
             travel_time_s=reading.travel_time_s,
             reference_travel_time_s=first.travel_time_s,

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from analysis.statistics.rules import AlarmRule, decides
+from analysis.statistics.rules import AlarmRule, determines_state
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import CorruptArchiveError, SetNotFoundError, SetReader, SetReference
@@ -117,7 +117,7 @@ def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinst
         silence_ends = good and sum(row.n_taken > 0 for row in since) >= settings.alarms.hole_sets
         if len(since) < len(rows) or silence_ends:
             assessments = catalogue.rows(AssessmentRow, position=position, first_set=rows[0].set_index)
-            if not judged or decides([row.outlier for row in assessments], rule):
+            if not judged or determines_state([row.outlier for row in assessments], rule):
                 break
     return rows
 
@@ -165,7 +165,7 @@ def restored_pulse_echo(
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(ThicknessRow, position, count)
-        if len(rows) != count or decides([assessor.too_thin(row) for row in rows], rule):
+        if len(rows) != count or determines_state([assessor.too_thin(row) for row in rows], rule):
             break
     for row in rows:
         assessor.feed(row)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from analysis.diagnosis.hypotheses import WALL
-from analysis.statistics.design import Design, parts_of
+from analysis.statistics.design import Design, contributions_of
 from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
@@ -91,7 +91,7 @@ def _by_chart(position: str, design: Design, state: State, rules: Rules, assessm
     memory = state.memory
     assert memory is not None, "the caller has looked"
     limit, average = design.limits[CHART], np.array(memory.averages[CHART])
-    parts = parts_of(average)
+    parts = contributions_of(average)
     statistic = float(parts.sum())
     budget = rules.false_alarms_per_sensor_year
     told = (

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 
-from analysis.statistics.design import Memory
+from analysis.statistics.design import ChartState
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE
 from analysis.waves.features import (
@@ -21,7 +21,7 @@ from analysis.waves.features import (
     mean_features,
 )
 from analysis.waves.quality_gate import ACCEPTED
-from analysis.waves.template import compared_with_others, learnt, without_residue
+from analysis.waves.template import compare_with_others, flag_residual_reflections, learn_template
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
@@ -195,9 +195,9 @@ class SolitaryWaveAssessor:
         baseline = self._state.baseline
         if baseline is not None and baseline.fitted is not None:
             usual = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])
-            features = without_residue(features, usual)
+            features = flag_residual_reflections(features, usual)
         # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
-        features = compared_with_others(features, learnt(features))
+        features = compare_with_others(features, learn_template(features))
         counts = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
         counting = list(compress(features, counts))
         return features, counting, self._set_features(list(compress(shots, counts)), counting)
@@ -397,7 +397,7 @@ def _stored(found: SetOfShots, row: AssessmentRow | None) -> SetAssessment | Non
         return None
     vector, memory, diagnosis_state = found.vector(), None, None
     if vector is not None and row.averages is not None:
-        memory = Memory(
+        memory = ChartState(
             index=found.set_index,
             vector=vector,
             averages={name: tuple(row.averages[name]) for name in (AVERAGE, CHART)},

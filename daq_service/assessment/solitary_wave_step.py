@@ -17,7 +17,7 @@ from analysis.diagnosis.parameters import DiagnosisParameters
 from analysis.diagnosis.state import DiagnosisState
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory
+from analysis.statistics.design import ChartState, Design, design_of, next_chart_state, state_at_end_of
 from analysis.statistics.distance import distance_squared, named_contributions
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import DISTANCE, LIMITS
@@ -164,7 +164,7 @@ class State:
     n_left_out: int = 0
     baseline: FrozenBaseline | None = None
     alarm: AlarmState = field(default_factory=AlarmState)
-    memory: Memory | None = None
+    memory: ChartState | None = None
     diagnosis_state: DiagnosisState = field(default_factory=DiagnosisState)
     origin: Origin = field(default_factory=Origin)
     hole: HoleState = field(default_factory=HoleState)
@@ -197,7 +197,7 @@ class SetAssessment:
     reason: str | None = None
     contributions: Mapping[str, float] | None = None
     statistics: Mapping[str, float] = field(default_factory=dict)
-    memory: Memory | None = None
+    memory: ChartState | None = None
     cause: Diagnosis | None = None
     diagnosis_state: DiagnosisState | None = None
     origin: Origin | None = None
@@ -324,7 +324,7 @@ def _frozen(state: State, rules: Rules) -> State:
             design=design,
             causes=design_of_causes([(found.set_index, found.values) for found in state.healthy]),
         ),
-        memory=at_the_end_of(fitted, vectors[-1]),
+        memory=state_at_end_of(fitted, vectors[-1]),
         diagnosis_state=DiagnosisState(),
         origin=Origin(),
     )
@@ -350,7 +350,7 @@ def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Ru
     vector = np.array(values)
     memory, statistics = None, {DISTANCE: float(distance_squared(vector, baseline.fitted))}
     if baseline.design is not None and state.memory is not None:
-        memory, statistics = next_memory(state.memory, baseline.design, found.set_index, vector)
+        memory, statistics = next_chart_state(state.memory, baseline.design, found.set_index, vector)
     return SetAssessment(
         distance_squared=statistics[DISTANCE],
         outlier=beyond(baseline.judging(rules.limit), statistics, baseline.limits),

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TypeVar
 
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.instruments import Acquired, Asking, Digitizer, Echo, PulseEchoUnit, Striker
+from hardware_drivers.instruments import Acquired, Digitizer, Echo, PersonRequests, PulseEchoUnit, Striker
 from hardware_drivers.measurement import ShotKey
 
 T = TypeVar("T")
@@ -16,7 +16,7 @@ T = TypeVar("T")
 class Strikers:
     """Strikers by their positions."""
 
-    def __init__(self, strikers: Mapping[str, Striker], asking: Asking) -> None:
+    def __init__(self, strikers: Mapping[str, Striker], asking: PersonRequests) -> None:
         self._strikers, self._asking = strikers, asking
 
     def strike(self, key: ShotKey) -> None:
@@ -36,7 +36,7 @@ class Strikers:
 class Digitizers:
     """Digitizers by their positions."""
 
-    def __init__(self, digitizers: Mapping[str, Digitizer], asking: Asking) -> None:
+    def __init__(self, digitizers: Mapping[str, Digitizer], asking: PersonRequests) -> None:
         self._digitizers, self._asking = digitizers, asking
         self._armed: ShotKey | None = None
 

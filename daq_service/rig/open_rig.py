@@ -17,10 +17,10 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import (
     Acquired,
-    Asking,
     Clock,
     Digitizer,
     Echo,
+    PersonRequests,
     PowerSupply,
     PulseEchoUnit,
     Rig,
@@ -60,7 +60,7 @@ def open_rig(
     InstrumentError
         A real instrument is wrong, busy or not there.
     """
-    asking = Asking()
+    asking = PersonRequests()
     instruments, opened = configured(settings), list[Opened]()
     experiment = settings.model_dump(mode="json")
     with ExitStack() as stack:
@@ -115,7 +115,11 @@ def _require_roles(item: Instrument, opened: Opened) -> None:
 
 
 def _composed(
-    kind: str, instruments: Sequence[Instrument], opened: Sequence[Opened], clock: Clock, asking: Asking
+    kind: str,
+    instruments: Sequence[Instrument],
+    opened: Sequence[Opened],
+    clock: Clock,
+    asking: PersonRequests,
 ) -> Rig:
     pairs = list(zip(instruments, opened, strict=True))
 

@@ -1,4 +1,4 @@
-"""The rules that every instrument keeps, as tests that a laboratory runs on a driver of its own.
+"""Conformance suites: rules for every instrument, as tests for a laboratory's own driver.
 
 A plugin of pytest (`plugin`) gives the command its options; nothing else of solimon imports pytest::
 

@@ -1,4 +1,4 @@
-"""What surrounds an instrument under test: who strikes, what the coils did, what can be made to fail."""
+"""Test bench of an instrument: its striker, what the coils did, and the faults that it can inject."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Order = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bench:
-    """What a double tells and does beside the driver; rules that need what it does not give are skipped.
+    """Double below the driver, and what it reports and does; rules that need more are skipped.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Bench:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Double:
-    """What takes an instrument's place below its driver: ``--solimon-double MODULE:NAME`` names one.
+    """Replacement of an instrument below its driver: ``--solimon-double MODULE:NAME`` names one.
 
     Attributes
     ----------
@@ -67,14 +67,14 @@ class Double:
 
 
 class MachineClock:
-    """The machine's own time."""
+    """Clock with the machine's own time."""
 
     def utc_ns(self) -> int:
-        """Wall time, ns since 1970-01-01T00:00Z."""
+        """Return wall time, ns since 1970-01-01T00:00Z."""
         return time.time_ns()
 
     def mono_ns(self) -> int:
-        """Monotonic time, ns."""
+        """Return monotonic time, ns."""
         return time.monotonic_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
@@ -87,7 +87,7 @@ class MachineClock:
 
 
 class ShotContract:
-    """What the rules of an instrument that takes shots ask for."""
+    """Fixtures that the rules of an instrument with shots need."""
 
     @pytest.fixture
     def keys(self) -> Keys:

@@ -1,4 +1,4 @@
-"""Which instrument is proved, and how it is configured: what the options of the command say."""
+"""Choice of the instrument under test and its configuration, from the options of the command."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ OF_POSITIONS: tuple[Role, ...] = ("digitizer", "striker", "pulse_echo")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Chosen:
-    """One instrument, not opened.
+class ChosenInstrument:
+    """Instrument under test, not opened.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Chosen:
     configuration: Mapping[str, Any] = field(default_factory=dict)
 
 
-def choose(kind_name: str, file: Path | None) -> Chosen:
+def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
     """Find the kind, and its instrument in a configuration's ``[rig.instruments]``.
 
     Without a file its parameters are the defaults, and it serves position `AT` in every role that it has.
@@ -57,8 +57,8 @@ def choose(kind_name: str, file: Path | None) -> Chosen:
     if file is None:
         roles = {role: (AT,) if role in OF_POSITIONS else () for role in offer.roles}
         strikers = {AT: (kind, dict[str, Any]())} if "striker" in offer.roles else {}
-        return Chosen(kind=kind, offer=offer, table={}, serves=roles, strikers=strikers)
-    configuration = _read(file)
+        return ChosenInstrument(kind=kind, offer=offer, table={}, serves=roles, strikers=strikers)
+    configuration = _read_table(file)
     rig = configuration.get("rig", {})
     instruments: Mapping[str, Mapping[str, Any]] = rig.get("instruments", {})
     named = [name for name, table in instruments.items() if table.get("kind") == kind_name]
@@ -79,7 +79,7 @@ def choose(kind_name: str, file: Path | None) -> Chosen:
             f"no position of {file} names {name!r}; add [rig.positions.{AT}] with "
             f"{' and '.join(f'{role} = {name!r}' for role in offer.roles)}"
         )
-    return Chosen(
+    return ChosenInstrument(
         kind=kind,
         offer=offer,
         table=_parameters(instruments[name]),
@@ -94,7 +94,7 @@ def choose(kind_name: str, file: Path | None) -> Chosen:
 
 
 def find_double(where: str) -> Double:
-    """Import what ``MODULE:NAME`` names.
+    """Import the object that ``MODULE:NAME`` names.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _parameters(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key != "kind"}
 
 
-def _read(file: Path) -> dict[str, Any]:
+def _read_table(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What every climate probe must do: inherit `ClimateProbeContract` and give its fixtures."""
+"""Rules for every climate probe: inherit `ClimateProbeContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TIMEOUT_S = 10.0
 
 
 class ClimateProbeContract:
-    """Tell air temperature and humidity, dated."""
+    """Rules for a climate probe: it measures air temperature and humidity, with time stamps."""
 
     TOLERANCE = (1.0, 0.05)
     """How far the probe may be off: of the order of a good sensor's error."""
@@ -24,7 +24,7 @@ class ClimateProbeContract:
 
     @pytest.fixture
     def air(self) -> tuple[float, float]:
-        """Temperature in degrees Celsius and relative humidity at the probe."""
+        """Return temperature in degrees Celsius and relative humidity at the probe."""
         return 22.0, 0.45
 
     def test_is_a_climate_probe(self, climate: ClimateProbe) -> None:
@@ -45,6 +45,6 @@ class ClimateProbeContract:
         times = [stamp.mono_ns for stamp in stamps]
         assert times == sorted(times)
 
-    def test_no_time_is_no_order(self, climate: ClimateProbe) -> None:
+    def test_a_timeout_of_zero_is_refused(self, climate: ClimateProbe) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             climate.read(0.0)

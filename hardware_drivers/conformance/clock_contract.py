@@ -1,4 +1,4 @@
-"""What every clock of an experiment must do: inherit `ClockContract` and give its fixtures."""
+"""Rules for every clock of a test: inherit `ClockContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NS_PER_S = 1_000_000_000
 
 
 class ClockContract:
-    """Time that passes while somebody waits, and never runs back."""
+    """Rules for a clock: time passes during a wait, and never runs back."""
 
     AHEAD_S = 0.0
     """Experiment seconds to wait for: several looks around (0.2 s of wall time each) if time is real."""
@@ -43,7 +43,7 @@ class ClockContract:
         assert clock.wait_until(now_ns - 3600 * NS_PER_S, lambda: True) is True
         assert clock.utc_ns() >= now_ns
 
-    def test_waiting_looks_around(self, clock: Clock) -> None:
+    def test_a_wait_calls_idle(self, clock: Clock) -> None:
         looks = itertools.count()
         clock.wait_until(clock.utc_ns() + round(self.AHEAD_S * NS_PER_S), lambda: next(looks) >= 0)
         # At least every 0.2 s of wall time; a clock that jumps looks around once.

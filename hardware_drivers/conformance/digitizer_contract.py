@@ -1,4 +1,4 @@
-"""What every digitizer must do: inherit `DigitizerContract` and give its fixtures."""
+"""Rules for every digitizer: inherit `DigitizerContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float
 
 
 class DigitizerContract(ShotContract):
-    """Arm, strike, read; everything else is refused or harmless."""
+    """Rules for a digitizer: arm, strike, read; everything else is rejected or harmless."""
 
     @pytest.fixture
     def digitizer(self) -> Digitizer:
@@ -36,22 +36,22 @@ class DigitizerContract(ShotContract):
 
     @pytest.fixture
     def strike(self, digitizer: Digitizer) -> Strike:
-        """Return what makes the key's transducer trigger the digitizer under test."""
+        """Return a function that makes the key's transducer trigger the digitizer under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Long enough for the instrument to deliver what has been struck."""
+        """Return a timeout long enough for the instrument to deliver a struck record."""
         return 1.0
 
     @pytest.fixture
     def longest_read_s(self) -> float:
-        """How long a read of `SHORT_TIMEOUT_S` may take."""
+        """Return the longest time that a read of `SHORT_TIMEOUT_S` may take."""
         return SHORT_TIMEOUT_S + OVERRUN_S
 
     @pytest.fixture
     def monotonic_s(self) -> Callable[[], float]:
-        """Return the clock that deadlines go by."""
+        """Return the clock of the deadlines."""
         return time.monotonic
 
     def test_is_a_digitizer(self, digitizer: Digitizer) -> None:
@@ -130,7 +130,7 @@ class DigitizerContract(ShotContract):
         took_s = monotonic_s() - began_s
         assert took_s <= longest_read_s, f"read({SHORT_TIMEOUT_S:g}) came back after {took_s:.1f} s"
 
-    def test_no_time_is_no_order(self, digitizer: Digitizer, keys: Keys) -> None:
+    def test_a_timeout_of_zero_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
         digitizer.arm(keys[0])
         with pytest.raises(ConfigurationError, match="timeout_s"):
             digitizer.read(0.0)

@@ -1,4 +1,4 @@
-"""What every kind of instrument must do before and around its roles: `KindContract`."""
+"""Rules for every kind of instrument, independent of its roles: `KindContract`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Open = Callable[[], AbstractContextManager[Opened]]
 
 
 class KindContract:
-    """Parameters that refuse what they do not know; opened, left and opened again."""
+    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again."""
 
     @pytest.fixture
     def kind(self) -> Kind[Any]:
@@ -53,12 +53,12 @@ class KindContract:
 
     @pytest.fixture
     def opening(self) -> Opening:
-        """Return what it is told when it is opened."""
+        """Return the opening of the instrument under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
-        """Return what opens the instrument."""
+        """Return a function that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     def test_unknown_parameters_are_refused(self, kind: Kind[Any], table: Mapping[str, Any]) -> None:
@@ -75,7 +75,7 @@ class KindContract:
         stored = adapter.dump_json(parameters)
         assert adapter.dump_json(adapter.validate_json(stored)) == stored
 
-    def test_what_it_says_of_its_parameters_is_sound(self, kind: Kind[Any], parameters: Any) -> None:
+    def test_the_kind_describes_its_parameters_correctly(self, kind: Kind[Any], parameters: Any) -> None:
         keys = TypeAdapter(kind.parameters).dump_python(parameters)
         assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
         assert all(isinstance(name, str) and name for name in kind.packages(parameters))
@@ -95,17 +95,17 @@ class KindContract:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         assert done.stdout.split() == [], f"importing {module} imports them too; import them in `open`"
 
-    def test_opened_it_has_the_roles_that_were_asked_of_it(self, open_kind: Open, opening: Opening) -> None:
+    def test_an_opened_instrument_has_the_requested_roles(self, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
             for role in opening.serves:
                 assert isinstance(getattr(opened, role), PROTOCOLS[role]), f"it opens no {role}"
 
-    def test_it_says_who_it_is(self, open_kind: Open) -> None:
+    def test_the_identity_is_reported(self, open_kind: Open) -> None:
         with open_kind() as opened:
             identity = opened.identity
         assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
 
-    def test_looking_at_it_ends_in_findings_with_remedies(
+    def test_a_check_returns_findings_with_remedies(
         self, kind: Kind[Any], parameters: Any, opening: Opening
     ) -> None:
         found: list[Finding] = []
@@ -114,12 +114,12 @@ class KindContract:
         assert all(isinstance(finding, Finding) for finding in found)
         assert [finding for finding in found if finding.state != "ok" and not finding.remedy] == []
 
-    def test_left_it_can_be_opened_again(self, open_kind: Open, opening: Opening) -> None:
+    def test_it_can_be_opened_again_after_closing(self, open_kind: Open, opening: Opening) -> None:
         for _ in range(3):
             with open_kind() as opened:
                 assert all(getattr(opened, role) is not None for role in opening.serves)
 
-    def test_left_by_an_error_it_lets_the_error_through_and_can_be_opened_again(
+    def test_an_error_passes_through_and_it_can_be_opened_again(
         self, open_kind: Open, opening: Opening
     ) -> None:
         with pytest.raises(_FailureAtTheRigError), open_kind():
@@ -129,7 +129,7 @@ class KindContract:
 
 
 class _FailureAtTheRigError(Exception):
-    """Anything that goes wrong elsewhere while the instrument is open."""
+    """Any error elsewhere while the instrument is open."""
 
 
 def _plain(distribution: str) -> str:

@@ -1,4 +1,4 @@
-"""Plugin of pytest: options that name an instrument, and a summary of the rules that it kept or broke."""
+"""Plugin of pytest: options that name an instrument, and a summary of the rules that passed or failed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hardware_drivers.conformance.bench import Double
-    from hardware_drivers.conformance.choice import Chosen
+    from hardware_drivers.conformance.choice import ChosenInstrument
 
 # Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
 _HERE = Path(__file__).parent
@@ -20,12 +20,12 @@ pytest.register_assert_rewrite(
 SUITES = "hardware_drivers.conformance.test_instrument"
 RULE_TIMEOUT_S = 120.0
 """A rule whose call has not come back by then is broken: it has no bound."""
-CHOSEN: pytest.StashKey[Chosen] = pytest.StashKey()
+CHOSEN: pytest.StashKey[ChosenInstrument] = pytest.StashKey()
 DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what `choice` and the suites ask for."""
+    """Add the options of `choice` and the suites."""
     group = parser.getgroup("solimon", "an instrument against solimon's rules")
     group.addoption("--solimon-kind", metavar="NAME", help="kind of instrument, as its entry points call it")
     group.addoption(
@@ -48,28 +48,28 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Find what the options name before anything is collected."""
+    """Resolve the options before anything is collected."""
     kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
     if not kind:
         return
-    from hardware_drivers.conformance.choice import choose, find_double
+    from hardware_drivers.conformance.choice import choose_instrument, find_double
     from hardware_drivers.errors import ConfigurationError
 
     try:
-        config.stash[CHOSEN] = choose(kind, config.getoption("--solimon-config"))
+        config.stash[CHOSEN] = choose_instrument(kind, config.getoption("--solimon-config"))
         config.stash[DOUBLE] = find_double(where) if where else None
     except ConfigurationError as error:
         raise pytest.UsageError(str(error)) from error
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Make one test of each way in which the double can fail."""
+    """Make one test of each fault that the double can inject."""
     if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
         metafunc.parametrize("fault", _faults(metafunc.config))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the suites of roles that the instrument does not have here; bound each rule."""
+    """Deselect the suites of roles that the instrument does not have; bound the time of each rule."""
     ours = [item for item in items if _suite(item) is not None]
     if not ours:
         return
@@ -85,19 +85,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Tell suite by suite how many rules were kept, and each broken one by its name."""
-    told: dict[str, dict[str, list[str]]] = {}
+    """Print for each suite how many rules passed, and each failed one by its name."""
+    rules_by_suite: dict[str, dict[str, list[str]]] = {}
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.getreports(outcome):
             suite = dict(getattr(report, "user_properties", ())).get("solimon_suite")
             if suite is not None:
-                rules = told.setdefault(str(suite), {}).setdefault(outcome, [])
+                rules = rules_by_suite.setdefault(str(suite), {}).setdefault(outcome, [])
                 rules.append(_rule(report.nodeid))
-    if not told:
+    if not rules_by_suite:
         return
     chosen = config.stash[CHOSEN]
     terminalreporter.section(f"solimon's rules: {chosen.offer.name}, {chosen.offer.distributions[0]}")
-    for suite, by_outcome in told.items():
+    for suite, by_outcome in rules_by_suite.items():
         broken = [*by_outcome.get("failed", []), *by_outcome.get("error", [])]
         untried = len(by_outcome.get("skipped", []))
         counts = f"{suite}: {len(by_outcome.get('passed', []))} kept, {len(broken)} broken"
@@ -116,18 +116,18 @@ def _faults(config: pytest.Config) -> tuple[str, ...]:
 
 
 def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
-    """Tell whether the instrument has the suite's role, and a double can fail where that is the rule."""
+    """Check whether the instrument has the suite's role, and a double for a rule that needs one."""
     if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
         return False
     return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
 
 
 def _suite(item: pytest.Item) -> str | None:
-    """Role whose suite a test belongs to, ``kind`` or ``safety``; None: no test of ours."""
+    """Return the role of a test's suite, ``kind`` or ``safety``; None: no test of solimon."""
     cls = getattr(item, "cls", None)
     return cls.suite if cls is not None and cls.__module__ == SUITES else None
 
 
 def _rule(nodeid: str) -> str:
-    """Tell the rule in words: the name of its test."""
+    """Return the rule in words: the name of its test."""
     return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

@@ -1,4 +1,4 @@
-"""What every power supply must do: inherit `PowerSupplyContract` and give its fixtures."""
+"""Rules for every power supply: inherit `PowerSupplyContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TIMEOUT_S = 10.0
 
 
 class PowerSupplyContract:
-    """Measure; switch off; on only by `energise`, within the caps."""
+    """Rules for a supply: it measures, switches off, and switches on only by `energise` within the caps."""
 
     @pytest.fixture
     def supply(self) -> PowerSupply:
@@ -24,12 +24,12 @@ class PowerSupplyContract:
 
     @pytest.fixture
     def caps(self) -> Order:
-        """Return the caps it was configured with: V and A."""
+        """Return the configured caps in V and A."""
         return 12.0, 2.0
 
     @pytest.fixture
     def order(self) -> Order:
-        """Voltage and limit within the caps, at which the load leaves the supply holding its voltage."""
+        """Return voltage and limit within the caps, at which the load does not reach the current limit."""
         return 8.0, 1.5
 
     def test_is_a_power_supply(self, supply: PowerSupply) -> None:
@@ -56,7 +56,7 @@ class PowerSupplyContract:
         supply.make_safe()
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
 
-    def test_energise_switches_on_what_was_asked_for(self, supply: PowerSupply, order: Order) -> None:
+    def test_energise_switches_on_at_the_requested_values(self, supply: PowerSupply, order: Order) -> None:
         supply.make_safe()
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
@@ -66,13 +66,13 @@ class PowerSupplyContract:
         assert reading.voltage_v == pytest.approx(voltage_v, rel=0.01)
         assert 0.0 < reading.current_a <= current_limit_a
 
-    def test_an_order_replaces_the_one_before(self, supply: PowerSupply, order: Order) -> None:
+    def test_a_command_replaces_the_previous_one(self, supply: PowerSupply, order: Order) -> None:
         voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
         supply.energise(voltage_v / 2, current_limit_a)
         assert supply.read(TIMEOUT_S).voltage_v == pytest.approx(voltage_v / 2, rel=0.01)  # as above
 
-    def test_beyond_the_caps_it_stays_off(self, supply: PowerSupply, caps: Order, order: Order) -> None:
+    def test_it_stays_off_above_the_caps(self, supply: PowerSupply, caps: Order, order: Order) -> None:
         supply.make_safe()
         voltage_v, current_limit_a = order
         for refused in (
@@ -88,13 +88,13 @@ class PowerSupplyContract:
             assert f"{value:g}" in str(refusal.value), "the message names the refused value"
             assert not supply.read(TIMEOUT_S).output_on
 
-    def test_it_says_who_it_is(self, supply: PowerSupply) -> None:
+    def test_the_identity_is_reported(self, supply: PowerSupply) -> None:
         identity = supply.identity()
         assert identity["maker"]
         assert identity["model"]
         assert all(isinstance(text, str) for text in identity.values())
         assert supply.identity() == identity
 
-    def test_no_time_is_no_order(self, supply: PowerSupply) -> None:
+    def test_a_timeout_of_zero_is_refused(self, supply: PowerSupply) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             supply.read(0.0)

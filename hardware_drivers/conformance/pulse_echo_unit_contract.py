@@ -1,4 +1,4 @@
-"""What every pulse-echo unit must do: inherit `PulseEchoUnitContract` and give its fixtures."""
+"""Rules for every pulse-echo unit: inherit `PulseEchoUnitContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hardware_drivers.measurement import ShotKey
 
 
 class PulseEchoUnitContract(ShotContract):
-    """Fire, average, return."""
+    """Rules for a pulse-echo unit: fire, average, return."""
 
     @pytest.fixture
     def pulse_echo(self) -> PulseEchoUnit:
@@ -23,7 +23,7 @@ class PulseEchoUnitContract(ShotContract):
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Long enough for a record of all averages."""
+        """Return a timeout long enough for a record of all averages."""
         return 1.0
 
     def test_is_a_pulse_echo_unit(self, pulse_echo: PulseEchoUnit) -> None:
@@ -59,6 +59,6 @@ class PulseEchoUnitContract(ShotContract):
         with pytest.raises(ConfigurationError, match=unknown_key.position):
             pulse_echo.acquire(unknown_key, timeout_s)
 
-    def test_no_time_is_no_order(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
+    def test_a_timeout_of_zero_is_refused(self, pulse_echo: PulseEchoUnit, keys: Keys) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             pulse_echo.acquire(keys[0], 0.0)

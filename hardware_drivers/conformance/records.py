@@ -1,4 +1,4 @@
-"""What holds for every record, whoever took it."""
+"""Rules for every record, whichever instrument made it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ little less; a wrong unit or resolution is off by a factor of two at least."""
 
 
 def require_record(acquired: Acquired) -> None:
-    """Fail unless counts, calibration and what is told of them make a record that can be kept."""
+    """Fail unless counts, calibration and metadata make a record that can be stored."""
     waveform, calibration = acquired.waveform, acquired.waveform.calibration
     assert waveform.counts.dtype in (np.int16, np.int32), "counts are integers"
     assert not waveform.counts.flags.writeable, "counts are read-only"

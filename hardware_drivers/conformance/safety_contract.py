@@ -1,4 +1,4 @@
-"""What every kind must do when it is left in the middle, or its instrument fails: `SafetyContract`."""
+"""Rules for interruptions and failures of an instrument: `SafetyContract`."""
 
 from __future__ import annotations
 
@@ -24,29 +24,32 @@ Call = Callable[[], object]
 
 
 class SafetyContract:
-    """Errors are solimon's own; afterwards nothing is armed, every coil is off, and it opens again."""
+    """Rules for failures: errors are solimon's own.
+
+    Then nothing is armed, every coil is off, it opens again.
+    """
 
     @pytest.fixture
     def bench(self) -> Bench:
-        """Return what can make the instrument fail, and tells what its coils did."""
+        """Return the bench that injects faults and records what the coils did."""
         raise NotImplementedError
 
     @pytest.fixture
     def opening(self) -> Opening:
-        """Return what the instrument is told when it is opened."""
+        """Return the opening of the instrument under test."""
         raise NotImplementedError
 
     @pytest.fixture
     def open_kind(self) -> Open:
-        """Return what opens the instrument."""
+        """Return a function that opens the instrument."""
         raise NotImplementedError
 
     @pytest.fixture
     def fault(self) -> str:
-        """Return how it fails."""
+        """Return the name of the fault to inject."""
         raise NotImplementedError
 
-    def test_left_in_the_middle_it_is_safe(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
+    def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
             for _, call in _calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
                 call()
@@ -68,18 +71,18 @@ class SafetyContract:
     def test_calls_fail_by_errors_of_hardware_drivers_only(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        told = {}
-        with _lost(open_kind) as opened, _failing(bench, fault):
+        errors = {}
+        with _open_failing(open_kind) as opened, _failing(bench, fault):
             for name, call in _calls(opened, opening):
-                told[name] = _error_of(name, call)
-        assert any(told.values()), (
-            f"no call told of the fault {fault!r}: {', '.join(told) or 'none was made'}"
+                errors[name] = _error_of(name, call)
+        assert any(errors.values()), (
+            f"no call told of the fault {fault!r}: {', '.join(errors) or 'none was made'}"
         )
 
     def test_after_an_error_nothing_is_armed(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        with _lost(open_kind) as opened:
+        with _open_failing(open_kind) as opened:
             if opened.digitizer is None or "digitizer" not in opening.serves:
                 pytest.skip("it is no digitizer")
             opened.digitizer.arm(_key("digitizer", opening))
@@ -96,7 +99,7 @@ class SafetyContract:
     ) -> None:
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did")
-        with _lost(open_kind) as opened, _failing(bench, fault):
+        with _open_failing(open_kind) as opened, _failing(bench, fault):
             for name, call in _calls(opened, opening, ("strike", "make_safe")):
                 _error_of(name, call)
                 assert _coils_on(bench) == [], f"after {name}"
@@ -105,7 +108,7 @@ class SafetyContract:
     def test_after_a_fault_it_can_be_opened_again(
         self, bench: Bench, open_kind: Open, opening: Opening, fault: str
     ) -> None:
-        with ExitStack() as still, _lost(open_kind) as opened:
+        with ExitStack() as still, _open_failing(open_kind) as opened:
             # Ended last: the instrument is left while it fails.
             still.enter_context(_failing(bench, fault))
             for name, call in _calls(opened, opening):
@@ -116,8 +119,8 @@ class SafetyContract:
 
 
 @contextmanager
-def _lost(open_kind: Open) -> Iterator[Opened]:
-    """Open what will fail: leaving it may tell of that."""
+def _open_failing(open_kind: Open) -> Iterator[Opened]:
+    """Open an instrument that will fail: an error when it is closed is expected."""
     with ExitStack() as stack:
         yield stack.enter_context(open_kind())
         with suppress(InstrumentError):
@@ -130,7 +133,7 @@ def _failing(bench: Bench, fault: str) -> Any:
 
 
 def _error_of(name: str, call: Call) -> InstrumentError | None:
-    """Make a call; an error that is not of `hardware_drivers.errors` breaks the rule."""
+    """Return the error of a call; one that is not of `hardware_drivers.errors` breaks the rule."""
     try:
         call()
     except InstrumentError as error:
@@ -149,25 +152,30 @@ def _key(role: Role, opening: Opening) -> ShotKey:
 def _calls(
     opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
 ) -> Iterator[tuple[str, Call]]:
-    """Give the calls of every role that is asked of it, in the order of a shot; each by its name."""
-    made: dict[str, list[Call]] = {
+    """Return the calls of every requested role in the order of a shot, each with its name."""
+    calls_by_role: dict[str, list[Call]] = {
         name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
     }
     if (digitizer := opened.digitizer) is not None and "digitizer" in opening.serves:
-        made["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
-        made["read"].append(lambda: digitizer.read(timeout_s))
-        made["disarm"].append(digitizer.disarm)
+        calls_by_role["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
+        calls_by_role["read"].append(lambda: digitizer.read(timeout_s))
+        calls_by_role["disarm"].append(digitizer.disarm)
     if (striker := opened.striker) is not None and "striker" in opening.serves:
-        made["strike"].append(lambda: striker.strike(_key("striker", opening)))
-        made["make_safe"].append(striker.make_safe)
+        calls_by_role["strike"].append(lambda: striker.strike(_key("striker", opening)))
+        calls_by_role["make_safe"].append(striker.make_safe)
     if (pulse_echo := opened.pulse_echo) is not None and "pulse_echo" in opening.serves:
-        made["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
+        calls_by_role["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
     if (supply := opened.supply) is not None and "supply" in opening.serves:
-        made["measure"].append(lambda: supply.read(timeout_s))
-        made["make_safe"].append(supply.make_safe)
+        calls_by_role["measure"].append(lambda: supply.read(timeout_s))
+        calls_by_role["make_safe"].append(supply.make_safe)
     if (climate := opened.climate) is not None and "climate" in opening.serves:
-        made["measure"].append(lambda: climate.read(timeout_s))
-    return ((name, call) for name, calls in made.items() if name in (only or made) for call in calls)
+        calls_by_role["measure"].append(lambda: climate.read(timeout_s))
+    return (
+        (name, call)
+        for name, calls in calls_by_role.items()
+        if name in (only or calls_by_role)
+        for call in calls
+    )
 
 
 def _coils_on(bench: Bench) -> list[str]:

@@ -1,4 +1,4 @@
-"""What every striker must do: inherit `StrikerContract` and give its fixtures."""
+"""Rules for every striker: inherit `StrikerContract` and provide its fixtures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ON, OFF = True, False
 
 
 class StrikerContract(ShotContract):
-    """One pulse a strike, of the right coil, and off afterwards whatever happens."""
+    """Rules for a striker: one pulse per strike, of the right coil, and off afterwards after any error."""
 
     @pytest.fixture
     def striker(self) -> Striker:
@@ -22,7 +22,7 @@ class StrikerContract(ShotContract):
 
     @pytest.fixture
     def coil_levels(self, striker: Striker) -> CoilLevels:
-        """Return what reads all switchings so far, oldest first: position, on or off."""
+        """Return a function that reads all switchings, oldest first: position, on or off."""
         raise NotImplementedError
 
     def test_is_a_striker(self, striker: Striker) -> None:
@@ -62,7 +62,7 @@ class StrikerContract(ShotContract):
         striker.make_safe()
         assert coil_levels()[-1] == (keys[0].position, OFF)
 
-    def test_making_safe_does_not_end_the_experiment(
+    def test_making_safe_does_not_end_the_test(
         self, striker: Striker, coil_levels: CoilLevels, keys: Keys
     ) -> None:
         striker.make_safe()

@@ -1,4 +1,4 @@
-"""Every rule, for the instrument that the options of the command name."""
+"""Every rule, applied to the instrument that the options of the command name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from hardware_drivers.conformance.bench import Bench, CoilLevels, Keys, MachineClock, Order, Strike
-from hardware_drivers.conformance.choice import Chosen
+from hardware_drivers.conformance.choice import ChosenInstrument
 from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
 from hardware_drivers.conformance.digitizer_contract import OVERRUN_S, SHORT_TIMEOUT_S, DigitizerContract
 from hardware_drivers.conformance.kind_contract import KindContract, Open
@@ -30,13 +30,13 @@ TIMEOUT_S = 30.0
 
 
 class OnTheBench:
-    """What the suites ask for, as the options give it."""
+    """Fixtures of the suites, from the options."""
 
     suite: ClassVar[str]
 
     @pytest.fixture
     def bench(self, pytestconfig: pytest.Config) -> Iterator[Bench]:
-        """Return what surrounds the instrument."""
+        """Return the test bench of the instrument."""
         double = pytestconfig.stash[DOUBLE]
         if double is None:
             yield Bench()
@@ -45,17 +45,17 @@ class OnTheBench:
             yield bench
 
     @pytest.fixture
-    def chosen(self, pytestconfig: pytest.Config) -> Chosen:
-        """Return what the options name."""
+    def chosen(self, pytestconfig: pytest.Config) -> ChosenInstrument:
+        """Return the instrument that the options name."""
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
-    def kind(self, chosen: Chosen) -> Kind[Any]:
+    def kind(self, chosen: ChosenInstrument) -> Kind[Any]:
         """Return the kind under test."""
         return chosen.kind
 
     @pytest.fixture
-    def table(self, chosen: Chosen, bench: Bench) -> Mapping[str, Any]:
+    def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, Any]:
         """Return its parameters, with those that only the double knows."""
         return {**chosen.table, **bench.parameters}
 
@@ -65,20 +65,20 @@ class OnTheBench:
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
-    def opening(self, chosen: Chosen, pytestconfig: pytest.Config) -> Opening:
-        """Return what it is told; what a person should do goes to the terminal."""
+    def opening(self, chosen: ChosenInstrument, pytestconfig: pytest.Config) -> Opening:
+        """Return its opening; requests to a person go to the terminal."""
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
-        def ask(what: str) -> None:
-            if what:
+        def ask(request: str) -> None:
+            if request:
                 with capture.global_and_fixture_disabled():
-                    print(f"\n  {what}", flush=True)
+                    print(f"\n  {request}", flush=True)
 
         return Opening(clock=MachineClock(), serves=chosen.serves, ask=ask, experiment=chosen.configuration)
 
     @pytest.fixture
     def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
-        """Return what opens the instrument."""
+        """Return a function that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
     @pytest.fixture
@@ -89,12 +89,12 @@ class OnTheBench:
 
     @pytest.fixture
     def allowed(self, pytestconfig: pytest.Config) -> None:
-        """Skip what moves or fires something real unless somebody allowed it."""
+        """Skip rules that move or fire real equipment unless an option allows it."""
         if pytestconfig.stash[DOUBLE] is None and not pytestconfig.getoption("--solimon-strike"):
             pytest.skip(NOT_ALLOWED)
 
     @pytest.fixture
-    def keys(self, chosen: Chosen) -> Keys:
+    def keys(self, chosen: ChosenInstrument) -> Keys:
         """Return two shots of one position."""
         (position, *_) = next(names for role, names in chosen.serves.items() if role == self.suite)
         return tuple(ShotKey(position=position, set_index=0, shot_index=i) for i in (0, 1))
@@ -106,55 +106,61 @@ class OnTheBench:
 
     @pytest.fixture
     def timeout_s(self) -> float:
-        """Long enough for a person."""
+        """Return a timeout long enough for a person."""
         return TIMEOUT_S
 
     @pytest.fixture
     def coil_levels(self, bench: Bench) -> CoilLevels:
-        """Return what tells the switchings."""
+        """Return a function that reads the switchings of the coils."""
         if bench.coil_levels is None:
             pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
         return bench.coil_levels
 
 
 class TestKind(OnTheBench, KindContract):
-    """The kind itself: nothing strikes, nothing is energised."""
+    """Rules of the kind itself: nothing strikes, nothing is energised."""
 
     suite = "kind"
 
     @pytest.fixture
-    def module(self, chosen: Chosen) -> str:
+    def module(self, chosen: ChosenInstrument) -> str:
         """Return the module that its entry points name."""
         return next(iter(chosen.offer.by_role.values())).module
 
 
 class TestSafety(OnTheBench, SafetyContract):
-    """Left in the middle; failing in each way that the double knows."""
+    """Rules for interruptions, and for each fault that the double can inject."""
 
     suite = "safety"
 
     @pytest.fixture
     def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening, allowed: None) -> Open:
-        """Return what opens the instrument, which then strikes."""
+        """Return a function that opens the instrument, which then strikes."""
         return lambda: kind.open(parameters, opening)
 
 
 class TestDigitizer(OnTheBench, DigitizerContract):
-    """Arm, strike, read."""
+    """Rules of the digitizer: arm, strike, read."""
 
     suite = "digitizer"
 
     @pytest.fixture
     def digitizer(self, opened: Opened) -> Digitizer:
-        """Return it disarmed."""
+        """Return the digitizer, disarmed."""
         assert opened.digitizer is not None
         return opened.digitizer
 
     @pytest.fixture
     def strike(
-        self, chosen: Chosen, bench: Bench, opened: Opened, opening: Opening, keys: Keys, allowed: None
+        self,
+        chosen: ChosenInstrument,
+        bench: Bench,
+        opened: Opened,
+        opening: Opening,
+        keys: Keys,
+        allowed: None,
     ) -> Iterator[Strike]:
-        """Strike by the double, by the instrument itself, or by whatever strikes at its position."""
+        """Return a strike by the double, the instrument itself, or the striker of its position."""
         if bench.strike is not None:
             yield bench.strike
             return
@@ -165,91 +171,91 @@ class TestDigitizer(OnTheBench, DigitizerContract):
             elif kind is chosen.kind:
                 striker = opened.striker
             else:
-                told = TypeAdapter(kind.parameters).validate_python(table)
-                beside = replace(opening, serves={"striker": (keys[0].position,)})
-                striker = stack.enter_context(kind.open(told, beside)).striker
+                parameters = TypeAdapter(kind.parameters).validate_python(table)
+                striker_opening = replace(opening, serves={"striker": (keys[0].position,)})
+                striker = stack.enter_context(kind.open(parameters, striker_opening)).striker
             assert striker is not None
             yield striker.strike
 
     @pytest.fixture
     def longest_read_s(self, kind: Kind[Any], parameters: Any) -> float:
-        """Return the bound of any digitizer, and what the kind says of its calls."""
+        """Return the time limit of any digitizer plus that of the kind's calls."""
         return SHORT_TIMEOUT_S + OVERRUN_S + kind.longest_call_s(parameters)
 
 
 class TestStriker(OnTheBench, StrikerContract):
-    """One pulse a strike."""
+    """Rules of the striker: one pulse per strike."""
 
     suite = "striker"
 
     @pytest.fixture
     def striker(self, opened: Opened, allowed: None) -> Striker:
-        """Return it with every coil off."""
+        """Return the striker with every coil off."""
         assert opened.striker is not None
         return opened.striker
 
     @pytest.fixture
-    def keys(self, chosen: Chosen) -> Keys:
+    def keys(self, chosen: ChosenInstrument) -> Keys:
         """Return a shot of each of two positions, of one if it has no more."""
         names = chosen.serves["striker"][:2]
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in names)
 
 
 class TestPulseEcho(OnTheBench, PulseEchoUnitContract):
-    """Fire, average, return."""
+    """Rules of the pulse-echo unit: fire, average, return."""
 
     suite = "pulse_echo"
 
     @pytest.fixture
     def pulse_echo(self, opened: Opened, allowed: None) -> PulseEchoUnit:
-        """Return it."""
+        """Return the pulse-echo unit."""
         assert opened.pulse_echo is not None
         return opened.pulse_echo
 
 
 class TestSupply(OnTheBench, PowerSupplyContract):
-    """Off unless ordered. Nobody energises a real cell to prove a driver: it needs a double."""
+    """Rules of the supply, off unless commanded; only a double may be energised in a test."""
 
     suite = "supply"
 
     @pytest.fixture
     def supply(self, opened: Opened, order: Order) -> PowerSupply:
-        """Return it switched on."""
+        """Return the supply, switched on."""
         assert opened.supply is not None
         opened.supply.energise(*order)
         return opened.supply
 
     @pytest.fixture
     def caps(self, bench: Bench) -> Order:
-        """Return what the double's configuration refuses."""
-        return _told_by_the_double(bench.caps)
+        """Return the caps of the double's configuration."""
+        return _require_double(bench.caps)
 
     @pytest.fixture
     def order(self, bench: Bench) -> Order:
-        """Return what may be ordered of the double."""
-        return _told_by_the_double(bench.order)
+        """Return a command that the double accepts."""
+        return _require_double(bench.order)
 
 
-def _told_by_the_double(order: Order | None) -> Order:
+def _require_double(order: Order | None) -> Order:
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order
 
 
 class TestClimate(OnTheBench, ClimateProbeContract):
-    """Temperature and humidity, dated."""
+    """Rules of the climate probe: temperature and humidity, with time stamps."""
 
     suite = "climate"
 
     @pytest.fixture
     def climate(self, opened: Opened) -> ClimateProbe:
-        """Return it."""
+        """Return the climate probe."""
         assert opened.climate is not None
         return opened.climate
 
     @pytest.fixture
     def air(self, bench: Bench) -> tuple[float, float]:
-        """Return what the double's air is."""
+        """Return the double's air."""
         if bench.air is None:
             pytest.skip("nobody knows the true air: a double's Bench.air")
         return bench.air

@@ -19,7 +19,7 @@ __all__ = ["DaqmxParameters", "TransducerWiring", "WatchdogWiring", "open_daqmx"
 
 @contextmanager
 def open_daqmx(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
-    """Find the boards, check that they can do what is asked, and hand out the instruments.
+    """Find and check the boards, and yield the instruments.
 
     The thread that opens them is the only one that may call them. At the end the coil is off and no
     task is left.

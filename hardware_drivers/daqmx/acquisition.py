@@ -1,4 +1,4 @@
-"""One transducer's acquisition: finite, triggered by the wave itself, with what came before it.
+"""Acquisition of one transducer: finite, triggered by the wave itself, with a pre-trigger.
 
 Committed once a transducer's turn, started and stopped a shot; its buffer is made once.
 
@@ -18,8 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware_drivers.daqmx.boards import Board, agree
-from hardware_drivers.daqmx.connection import Connection, discard
+from hardware_drivers.daqmx.boards import Board, is_accepted
+from hardware_drivers.daqmx.connection import Connection, clear_task
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
@@ -47,7 +47,7 @@ _DTYPES: Mapping[int, type[np.int16 | np.int32]] = {16: np.int16, 32: np.int32}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Acquisition:
-    """A committed analog-input task and all that turns its codes into a record."""
+    """Committed analog-input task and the conversion of its codes into a record."""
 
     position: str
     board: Board
@@ -63,12 +63,12 @@ class Acquisition:
     settings: Mapping[str, float | str]
 
     def start(self) -> None:
-        """Let samples flow, at once or as soon as the coil's counter says so."""
+        """Start sampling, at once or at the edge of the coil's counter."""
         with vendor_call(f"starting the acquisition of {self.position!r}"):
             self.task.start()
 
     def read(self, timeout_s: float) -> Waveform:
-        """Wait for the record and return it; the buffer's content is used only after a whole read."""
+        """Wait for the record and return it; the buffer's content is used only after a complete read."""
         with vendor_call(f"reading the record of {self.position!r}"):
             read = self.reader.read_int16 if self.buffer.dtype == np.int16 else self.reader.read_int32
             wanted = self.buffer.shape[1]
@@ -91,16 +91,16 @@ class Acquisition:
         return waveform
 
     def stop(self) -> None:
-        """Back to committed, ready for the next shot."""
+        """Return the task to committed, ready for the next shot."""
         with vendor_call(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
     def close(self) -> bool:
-        """Give the board free; True if the driver did as asked (errors are logged)."""
-        return discard(self.task, f"closing the acquisition of {self.position!r}")
+        """Release the board; True if the driver confirmed it (errors are logged)."""
+        return clear_task(self.task, f"closing the acquisition of {self.position!r}")
 
     def _require_edge(self, waveform: Waveform) -> None:
-        """Refuse a record that does not pass its own trigger level where the trigger is said to be."""
+        """Reject a record that does not cross its own trigger level at the stated trigger sample."""
         reach = max(2, round(EDGE_S * self.sample_rate_hz))
         trigger = self.pretrigger_samples
         around = waveform.calibration.volts(waveform.counts[max(0, trigger - reach) : trigger + reach + 1])
@@ -123,7 +123,7 @@ def commit_acquisition(
     *,
     record: Record,
 ) -> Acquisition:
-    """Build one transducer's task, commit it, and read back what the board made of it.
+    """Build one transducer's task, commit it, and read back the settings of the board.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def commit_acquisition(
             task.control(TaskMode.TASK_COMMIT)
             return _committed(task, channel, parameters, position, board, record)
     except BaseException:
-        discard(task, f"setting up the acquisition of {position!r}")
+        clear_task(task, f"setting up the acquisition of {position!r}")
         raise
 
 
@@ -191,7 +191,7 @@ def _samples(parameters: DaqmxParameters, record: Record) -> int:
 def _start_by_coil(
     task: Any, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
 ) -> None:
-    """Start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
+    """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
 
     Verified here, so that a route or delay that the boards do not have is told as what it is.
     """
@@ -246,18 +246,18 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 def _committed(
     task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
-    """Read back what counts and refuse what was silently changed."""
+    """Read back the essential settings and reject silent changes."""
     from nidaqmx.stream_readers import AnalogUnscaledReader
 
     wiring, triggered = parameters.transducers[position], record == "shot"
     rate_hz = float(task.timing.samp_clk_rate)
-    if not agree(rate_hz, parameters.sample_rate_hz):
+    if not is_accepted(rate_hz, parameters.sample_rate_hz):
         raise ConfigurationError(
             f"sample_rate_hz is {parameters.sample_rate_hz:.10g} Hz; {board.label} would use {rate_hz:.10g} "
             "Hz; ask for a rate that divides its time base, such as that one"
         )
     low_v, high_v = float(channel.ai_rng_low), float(channel.ai_rng_high)
-    if not (agree(high_v, wiring.range_v) and agree(-low_v, wiring.range_v)):
+    if not (is_accepted(high_v, wiring.range_v) and is_accepted(-low_v, wiring.range_v)):
         raise ConfigurationError(
             f"range_v is {wiring.range_v} V; {board.label} would use {low_v:g}..{high_v:g} V; choose a "
             "range it has"
@@ -296,7 +296,7 @@ def _committed(
 
 
 def _calibration(channel: Any, wiring: TransducerWiring, board: Board) -> Calibration:
-    """Scaling of the board's codes, refused if its ends are not those of the range."""
+    """Return the scaling of the board's codes; reject it if its ends are not those of the range."""
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)
     if coefficients.size < 2 or not np.isfinite(coefficients).all() or not 2.0 <= bits <= 32.0:

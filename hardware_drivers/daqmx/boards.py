@@ -1,4 +1,4 @@
-"""Boards by serial number: what they are called today, and whether they can do what is asked."""
+"""Boards by serial number: their present names, and whether they can take the requested record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ABSENT = frozenset({-201003, -200324, -200220, -200045, -89130})
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Board:
-    """One board under the name it has today.
+    """Board under its present name.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Board:
 
     @property
     def label(self) -> str:
-        """How messages call it."""
+        """Return the name of the board in messages."""
         return f"{self.product} {self.serial}"
 
 
@@ -63,7 +63,7 @@ def same_serial(text: str) -> str:
 
 
 def installed(connection: Connection) -> dict[str, Any]:
-    """All boards the driver knows, by serial number (0 for NI's simulated devices: use one at a time)."""
+    """Return all boards the driver knows by serial number (0: NI's simulated devices; use one at a time)."""
     system = connection.system()
     with vendor_call("listing the boards"):
         devices = list(system.devices)
@@ -81,27 +81,27 @@ def installed(connection: Connection) -> dict[str, Any]:
 
 
 def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:
-    """Boards with these serial numbers, whatever they are called today.
+    """Return the boards with these serial numbers under their present names.
 
     Raises
     ------
     ConnectionLostError
         One of them is not there: switched off, pulled, or its number mistyped.
     """
-    there = installed(connection)
+    known = installed(connection)
     found = {}
     for serial in sorted({same_serial(text) for text in serials}):
-        if serial not in there:
+        if serial not in known:
             raise ConnectionLostError(
-                f"no board with serial number {serial}; there are: {_names(there)}; check its power, seating "
+                f"no board with serial number {serial}; there are: {_names(known)}; check its power, seating "
                 "and cable, and board_serial in [rig.daqmx.transducers]"
             )
-        found[serial] = describe(serial, there[serial])
+        found[serial] = describe(serial, known[serial])
     return found
 
 
 def describe(serial: str, device: Any) -> Board:
-    """Read what a board says of itself."""
+    """Read a board's description from the driver."""
     with vendor_call(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
         if not (name and product):
@@ -131,12 +131,12 @@ def describe(serial: str, device: Any) -> Board:
     )
 
 
-def _names(there: Mapping[str, Any]) -> str:
-    return ", ".join(f"{serial} ({device.name})" for serial, device in there.items()) or "none"
+def _names(boards: Mapping[str, Any]) -> str:
+    return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 
 def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
-    """Refuse a board that cannot take the asked record, and say what it can do.
+    """Check that a board can take the requested record, and return its limits.
 
     Raises
     ------
@@ -153,7 +153,9 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
             f"{limit_hz:.10g} Hz on one channel; lower the rate to that or use a faster board"
         )
     ranges = list(zip(ends_v[::2], ends_v[1::2], strict=False))
-    if not any(agree(high, wiring.range_v) and agree(-low, wiring.range_v) for low, high in ranges):
+    if not any(
+        is_accepted(high, wiring.range_v) and is_accepted(-low, wiring.range_v) for low, high in ranges
+    ):
         have = ", ".join(f"{low:g}..{high:g}" for low, high in ranges)
         raise ConfigurationError(
             f"range_v is {wiring.range_v} V; {board.label} has the ranges {have} V; choose one of them"
@@ -164,6 +166,6 @@ def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParamet
         )
 
 
-def agree(given: float, asked: float) -> bool:
-    """Tell whether the driver took the value as asked."""
-    return math.isclose(given, asked, rel_tol=RELATIVE_AGREEMENT)
+def is_accepted(given: float, requested: float) -> bool:
+    """Check whether the driver took the requested value."""
+    return math.isclose(given, requested, rel_tol=RELATIVE_AGREEMENT)

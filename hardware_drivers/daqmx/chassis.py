@@ -1,4 +1,4 @@
-"""What digitizer and striker share: the boards, the transducer whose turn it is, the way back after a loss.
+"""Chassis shared by digitizer and striker: boards, the active transducer, recovery after a loss.
 
 Transducers take turns: a board has one timing engine for analog input, so the tasks of one transducer
 are committed when its turn begins and cleared when another's does. Within a turn a shot is a start and
@@ -41,7 +41,7 @@ LADDER = ("fresh tasks", "reset of our boards", "new connection, boards found ag
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turn:
-    """The committed tasks of one transducer; None for what another instrument does."""
+    """Committed tasks of one transducer; None for those of another instrument."""
 
     position: str
     record: Record
@@ -88,7 +88,7 @@ class Chassis:
     # One thread ----------------------------------------------------------------------------------
 
     def check_thread(self) -> None:
-        """Refuse calls from another thread: NI's tasks are not made for that."""
+        """Raise for calls from another thread: NI's tasks are not thread-safe."""
         if threading.get_ident() != self._thread:
             raise ConfigurationError(
                 f"the instruments were opened by thread {self._thread} and called by thread "
@@ -98,7 +98,7 @@ class Chassis:
     # Turns ---------------------------------------------------------------------------------------
 
     def turn(self, position: str, record: Record = "shot") -> Turn:
-        """Commit a transducer's tasks, after the next rung of recovery if something was lost.
+        """Commit a transducer's tasks, after the next step of recovery if something was lost.
 
         Parameters
         ----------
@@ -115,19 +115,19 @@ class Chassis:
         return self._turn
 
     def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
-        """Acquisition of a transducer that these boards digitize, in its turn."""
+        """Return the acquisition of a transducer that these boards digitize, after its commit."""
         acquisition = self.turn(position, record).acquisition
         assert acquisition is not None, "asked for with its input only"
         return acquisition
 
     def coil(self, position: str, record: Record = "shot") -> Coil:
-        """Coil of a transducer that these boards strike, in its turn."""
+        """Return the coil of a transducer that these boards strike, after its commit."""
         coil = self.turn(position, record).coil
         assert coil is not None, "asked for with its counter only"
         return coil
 
     def end_turn(self) -> None:
-        """Clear the tasks, the coil's first; remembers a coil that may still be on."""
+        """Clear the tasks, the coil's first; remember a coil that may still be on."""
         turn, self._turn = self._turn, None
         if turn is None:
             return
@@ -160,7 +160,7 @@ class Chassis:
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def prove(self) -> None:
-        """Commit every transducer once: what the hardware refuses is said before a test begins."""
+        """Commit every transducer once, so that the hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
                 check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
@@ -168,7 +168,7 @@ class Chassis:
         self.end_turn()
 
     def refuse_made_up(self) -> None:
-        """Let no record of a device that NI's driver simulates be taken for a wave.
+        """Raise for devices that NI's driver simulates: their records contain no wave.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class Chassis:
         )
 
     def _cleared_by_name(self, roles: Sequence[str]) -> bool:
-        """On a server a task may be alive although the object that stood for it is not."""
+        """Clear tasks on a server that remain after the loss of their local object."""
         try:
             cleared = self._connection is not None and self._connection.clear_leftovers(roles)
         except InstrumentError as error:
@@ -217,7 +217,7 @@ class Chassis:
 
     @contextmanager
     def attempt(self) -> Iterator[None]:
-        """Do something with the boards; an error leaves them safe and knows how to go on."""
+        """Run an operation on the boards; an error leaves them safe and selects the next recovery step."""
         try:
             yield
         except BaseException as error:
@@ -243,7 +243,7 @@ class Chassis:
             ) from error
 
     def _meet_owner(self, error: BusyError) -> None:
-        """Tell somebody else, who is never disturbed, from a task of our own that would not go."""
+        """Distinguish another owner, who is never disturbed, from a leftover task of this program."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = owner_in(str(error.__cause__))
         if self._connection is None or not self._connection.is_ours(owner):
@@ -254,11 +254,11 @@ class Chassis:
         raise lost from error
 
     def recovered(self) -> None:
-        """Start with the gentlest rung at the next loss: a sound record came."""
+        """Restart recovery with its first step at the next loss: a sound record came."""
         self._rung = self._lost = 0
 
     def _recover(self) -> None:
-        """Climb one rung after a loss."""
+        """Take the next recovery step after a loss."""
         if not self._broken:
             return
         log.info("recovering: %s", LADDER[self._rung - 1])
@@ -283,11 +283,11 @@ class Chassis:
 
     @property
     def coil_off_at(self) -> float:
-        """Monotonic time by which every coil is off whatever happened: now, or a pulse's own end."""
+        """Return the monotonic time by which every coil is off in any case: now, or a pulse's own end."""
         return max(time.monotonic(), self._maybe_on[1])
 
     def _connect(self) -> None:
-        """Reach the driver afresh and find the boards under whatever names they have now."""
+        """Reconnect to the driver and find the boards under their present names."""
         if self._connection is not None:
             self._connection.close()
         self._connection = Connection(self.parameters)
@@ -301,7 +301,7 @@ class Chassis:
 
     @property
     def connection(self) -> Connection:
-        """The way to the driver."""
+        """Return the connection to the driver."""
         if self._connection is None:
             raise ConfigurationError("the rig is closed; open it again")
         return self._connection
@@ -309,7 +309,7 @@ class Chassis:
     # Calibration, identity, end ------------------------------------------------------------------
 
     def self_calibrate(self) -> dict[str, str]:
-        """Calibrate every digitizer board, read date, temperature and scaling again."""
+        """Calibrate every digitizer board, then read date, temperature and scaling."""
         self.end_turn()
         self._recover()
         done = {}
@@ -330,7 +330,7 @@ class Chassis:
         return done
 
     def identity(self) -> dict[str, str]:
-        """Versions, transport and boards, for every set's record."""
+        """Return versions, transport and boards, for every set's record."""
         return {
             "transport": self.parameters.transport,
             "daqmx_driver_version": self.driver_version,
@@ -339,7 +339,7 @@ class Chassis:
         }
 
     def close(self) -> None:
-        """Coil off, tasks cleared, connection ended; harmless when done before."""
+        """Switch the coil off, clear the tasks, end the connection; harmless when done before."""
         try:
             self.end_turn()
         finally:

@@ -1,4 +1,4 @@
-"""One process of this computer under each client name of a gRPC server.
+"""Lock of a client name: one process of this computer for each name on a gRPC server.
 
 Tasks on the server are told apart by that name, so a second process under it would clear the first
 one's. The lock is the operating system's: it ends with its process, however that ends.
@@ -50,7 +50,7 @@ class ClientLock:
         self._file.flush()
 
     def release(self) -> None:
-        """Give the name free; harmless when done before."""
+        """Release the name; harmless when done before."""
         file, self._file = self._file, None
         if file is not None:
             file.close()

@@ -1,4 +1,4 @@
-"""One striker's coil: a finite pulse timed by the board's counter, low before and after.
+"""Coil of a striker: a finite pulse timed by the board's counter, low before and after.
 
 The level is never a static line: once started, the counter ends the pulse whatever becomes of this
 program, of the connection or of the computer. Energising lifts the striker; it falls when the coil
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hardware_drivers.daqmx.boards import Board
-from hardware_drivers.daqmx.connection import Connection, discard, discard_watchdog
+from hardware_drivers.daqmx.connection import Connection, clear_task, clear_watchdog
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import (
@@ -38,7 +38,7 @@ PULSE_AGREEMENT = 0.01
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Coil:
-    """A committed counter task, its watchdog, and until when the coil may be on."""
+    """Committed counter task with its watchdog, and the time until which the coil may be on."""
 
     position: str
     board: Board
@@ -85,7 +85,7 @@ class Coil:
             )
 
     def close(self) -> bool:
-        """Stop the pulse, then clear the tasks; True if the driver did as asked (errors are logged).
+        """Stop the pulse, then clear the tasks; True if the driver confirmed it (errors are logged).
 
         Afterwards `on_until` tells whether the coil may still be on: it is 0 once any step stopped it.
         """
@@ -98,12 +98,12 @@ class Coil:
         except InstrumentError as error:
             log.warning("%s: its counter could not be stopped: %s", doing, str(error))
             well = False
-        if discard(self.task, doing):
+        if clear_task(self.task, doing):
             self.on_until = 0.0
         else:
             well = False
         if self.watchdog is not None:
-            well = discard_watchdog(self.watchdog, doing) and well
+            well = clear_watchdog(self.watchdog, doing) and well
         return well
 
 
@@ -127,15 +127,15 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         task = connection.task("striker")
     except BaseException:
         if watchdog is not None:
-            discard_watchdog(watchdog, doing)
+            clear_watchdog(watchdog, doing)
         raise
     try:
         with vendor_call(doing):
             _configure(task, parameters, position, board)
     except BaseException:
-        discard(task, doing)
+        clear_task(task, doing)
         if watchdog is not None:
-            discard_watchdog(watchdog, doing)
+            clear_watchdog(watchdog, doing)
         raise
     return Coil(
         position=position,
@@ -192,6 +192,6 @@ def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board
             )
             watchdog.control(TaskMode.TASK_COMMIT)
     except BaseException:
-        discard_watchdog(watchdog, doing)
+        clear_watchdog(watchdog, doing)
         raise
     return watchdog

@@ -1,4 +1,4 @@
-"""The driver as the rest of this package sees it: systems, tasks and watchdogs, by either transport.
+"""Connection to the driver by either transport: systems, tasks and watchdogs.
 
 Nothing else creates a vendor object, so nothing else can leave one behind.
 """
@@ -31,12 +31,12 @@ NAME_TAKEN = -200089
 
 
 def client_name(parameters: DaqmxParameters) -> str:
-    """Name that marks this rig's tasks on a gRPC server."""
+    """Return the name that marks this rig's tasks on a gRPC server."""
     return parameters.grpc_client_name or re.sub(r"[^A-Za-z0-9_.-]", "_", socket.gethostname())[:40]
 
 
 class Connection:
-    """Way to NI's driver, opened afresh by the last rung of the recovery ladder.
+    """Connection to NI's driver, opened again by the last recovery step.
 
     Parameters
     ----------
@@ -66,14 +66,14 @@ class Connection:
             channel.close()
 
     def system(self) -> Any:
-        """NI's view of all boards (`nidaqmx.system.System`)."""
+        """Return NI's view of all boards (`nidaqmx.system.System`)."""
         from nidaqmx.system import System
 
         with vendor_call("reaching NI-DAQmx"):
             return System() if self._channel is None else System.remote(self._options("", attach=False))
 
     def driver_version(self) -> str:
-        """Version of NI-DAQmx, as in ``24.8.0``; "unknown" where it does not say."""
+        """Return the version of NI-DAQmx, as in ``24.8.0``; "unknown" where the driver reports none."""
         system = self.system()
         return metadata(
             lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
@@ -107,7 +107,7 @@ class Connection:
             return create(self._name(role, uuid.uuid4().hex[:8]))
 
     def is_ours(self, owner: str) -> bool:
-        """Tell whether the owner of a resource is a task of ours, which the driver did not clear."""
+        """Check whether the owner of a resource is a task of this program that the driver did not clear."""
         return f"solimon-{self._client}-" in owner
 
     def _name(self, role: str, mark: int | str) -> str:
@@ -156,7 +156,7 @@ class Connection:
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
             except BaseException:
-                (discard_watchdog if session else discard)(task, doing)
+                (clear_watchdog if session else clear_task)(task, doing)
                 raise
         return task
 
@@ -171,24 +171,24 @@ class Connection:
         )
 
 
-def discard(task: Any, doing: str) -> bool:
-    """Give everything back and clear a task, whatever state it is in; True if it was cleared.
+def clear_task(task: Any, doing: str) -> bool:
+    """Release and clear a task in any state; True if it was cleared.
 
     Clearing alone would do; giving back first means that a refusal to clear leaves an empty task, which
     holds nothing. A failure is logged: the error that led here is the news.
     """
     from nidaqmx.constants import TaskMode
 
-    _tried(lambda: task.control(TaskMode.TASK_ABORT), doing)
-    return _tried(task.close, doing)
+    _attempt(lambda: task.control(TaskMode.TASK_ABORT), doing)
+    return _attempt(task.close, doing)
 
 
-def discard_watchdog(watchdog: Any, doing: str) -> bool:
-    """Do the same for a watchdog, which NI's package, unlike a task, lets be cleared a second time."""
-    return discard(watchdog, doing) or _tried(watchdog.close, doing)
+def clear_watchdog(watchdog: Any, doing: str) -> bool:
+    """Release and clear a watchdog, which NI's package lets be cleared a second time, unlike a task."""
+    return clear_task(watchdog, doing) or _attempt(watchdog.close, doing)
 
 
-def _tried(step: Callable[[], None], doing: str) -> bool:
+def _attempt(step: Callable[[], None], doing: str) -> bool:
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
@@ -206,7 +206,7 @@ def _name_is_taken(error: ConnectionLostError) -> bool:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of NI's Python package, for the record."""
+    """Return the versions of NI's Python package, for the record."""
     return {"nidaqmx_version": version("nidaqmx")}
 
 

@@ -20,7 +20,7 @@ STRIKER = "striker"
 
 
 class Bench:
-    """What the instruments of one chassis know of each other: what is armed, what still falls."""
+    """State that the instruments of one chassis share: the armed position, a falling striker."""
 
     def __init__(self, chassis: Chassis) -> None:
         self.chassis = chassis
@@ -28,9 +28,13 @@ class Bench:
         self.lands_at = 0.0
 
     def require_position(self, key: ShotKey, what: str) -> None:
-        """Refuse a position that is not wired for what it is asked."""
+        """Reject a position that is not wired for the requested operation."""
         wired = self.chassis.parameters.transducers
-        known = [name for name, its in wired.items() if (its.strikes if what == STRIKER else its.digitizes)]
+        known = [
+            name
+            for name, wiring in wired.items()
+            if (wiring.strikes if what == STRIKER else wiring.digitizes)
+        ]
         if key.position not in known:
             raise ConfigurationError(
                 f"no {what} at position {key.position!r}; there are: {', '.join(sorted(known))}; wire it in "
@@ -39,13 +43,13 @@ class Bench:
 
 
 class DaqmxDigitizer:
-    """Samples the armed transducer around its own wave."""
+    """Digitizer that samples the armed transducer around its own wave."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
 
     def arm(self, key: ShotKey) -> None:
-        """Start the acquisition: its pre-trigger is filling on return, or will when the coil has rung out.
+        """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
 
         A striker of an earlier strike that nobody recorded is left to land first: its wave belongs to
         no shot.
@@ -96,7 +100,7 @@ class DaqmxDigitizer:
 
 
 class DaqmxStriker:
-    """Pulses one coil by its board's counter."""
+    """Striker that pulses one coil by its board's counter."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -124,7 +128,7 @@ class DaqmxStriker:
             bench.lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
-        """Switch off whatever coil may be on; what is armed is disarmed with it."""
+        """Switch off every coil that may be on; disarm the armed acquisition."""
         self._bench.chassis.check_thread()
         self._bench.armed = None
         self._bench.chassis.make_safe()
@@ -137,7 +141,7 @@ class DaqmxSelfCalibration:
         self._bench = bench
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Calibrate every digitizer board and read its scaling again."""
+        """Calibrate every digitizer board and read its scaling."""
         bench, chassis = self._bench, self._bench.chassis
         chassis.check_thread()
         if bench.armed is not None:
@@ -148,7 +152,7 @@ class DaqmxSelfCalibration:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DaqmxInstruments:
-    """The instruments of one chassis; a rig is composed of them and the clock."""
+    """Instruments of one chassis, from which a rig is composed together with the clock."""
 
     digitizer: DaqmxDigitizer
     striker: DaqmxStriker
@@ -158,7 +162,7 @@ class DaqmxInstruments:
 
 @contextmanager
 def opened(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
-    """Boards found, checked and ready; coil off and every task cleared at the end."""
+    """Open and check the boards; at the end the coil is off and every task cleared."""
     chassis = Chassis(parameters)
     bench = Bench(chassis)
     try:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 from hardware_drivers.daqmx import open_daqmx
-from hardware_drivers.daqmx.look import findings
+from hardware_drivers.daqmx.look import board_findings
 from hardware_drivers.daqmx.parameters import REACHED_BY, DaqmxParameters
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
@@ -25,9 +25,9 @@ def _open(parameters: DaqmxParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
-    from hardware_drivers.daqmx.survey import survey
+    from hardware_drivers.daqmx.survey import survey_rig
 
-    yield from findings(parameters, survey, shot_interval_s=opening.shot_interval_s)
+    yield from board_findings(parameters, survey_rig, shot_interval_s=opening.shot_interval_s)
 
 
 def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
 
 
 def _require(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    """Each end that is wired is used, and each that is used is wired."""
+    """Check that every wired end is used, and every used end is wired."""
     ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
     for position, wiring in parameters.transducers.items():
         for role, end in ends:

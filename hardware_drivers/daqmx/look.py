@@ -1,4 +1,4 @@
-"""What `solimon doctor` says of NI-DAQmx boards and the transducers wired to them, from what `survey` finds.
+"""Findings of `solimon doctor` on NI-DAQmx boards and their transducers, from the facts of `survey`.
 
 Nothing strikes: the survey commits tasks, which connects the coils' outputs at their low idle level, and
 starts no counter.
@@ -36,20 +36,20 @@ BOARD_FACTS = (
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
 
 
-def findings(
+def board_findings(
     parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey], *, shot_interval_s: float
 ) -> list[Finding]:
-    """Look at driver, boards and every transducer's wiring."""
+    """Return findings on driver, boards and every transducer's wiring."""
     strikes = any(wiring.strikes for wiring in parameters.transducers.values())
     found = [_duty(parameters.pulse_s, shot_interval_s)] if strikes else []
     if parameters.transport == "grpc":
         found.append(_server(parameters.grpc_address))
         if found[-1].state == "fail":
             return found
-    looked = survey(parameters)
-    if looked.driver_version:
-        found.append(_driver(looked.driver_version))
-    found += [_told(finding, looked, parameters) for finding in looked.findings]
+    facts = survey(parameters)
+    if facts.driver_version:
+        found.append(_driver(facts.driver_version))
+    found += [_finding_of_board(finding, facts, parameters) for finding in facts.findings]
     found += [_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs]
     if parameters.all_watchdogs:
         found += _unwatched(parameters)
@@ -57,7 +57,7 @@ def findings(
 
 
 def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
-    """Part of the time that a coil is on while its transducer is struck."""
+    """Return the finding on the coil's duty cycle while its transducer is struck."""
     part = pulse_s / shot_interval_s
     return Finding(
         subject="coils",
@@ -70,7 +70,7 @@ def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
 
 
 def _server(address: str) -> Finding:
-    """Connect and leave: a server that is not there is told at once, not by every call's deadline."""
+    """Check the connection to the server: a missing one is found at once, not at every call's deadline."""
     host, _, port = address.rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), timeout=SERVER_TIMEOUT_S):
@@ -100,22 +100,22 @@ def _driver(text: str) -> Finding:
     )
 
 
-def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
+def _finding_of_board(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
     state, remedy = finding.state, finding.remedy
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
-    kind, _, which = finding.subject.partition(" ")
-    if state == "fail" and kind == "board" and int(which, 16) not in _wanted(parameters):
+    kind, _, label = finding.subject.partition(" ")
+    if state == "fail" and kind == "board" and int(label, 16) not in _wanted(parameters):
         state = "warn"  # somebody else's board
     values: dict[str, float | str | bool | None] = {}
     detail = finding.detail
     if kind == "transducer":
         if "as asked" in detail:
-            detail = f"{detail}: {_asked(parameters, which, finding.check)}"
+            detail = f"{detail}: {_settings_text(parameters, label, finding.check)}"
         if finding.check == "noise":
             level_v = parameters.trigger_level_v
-            values = {"noise_rms_v": found.noise_rms_v.get(which), "trigger_level_v": level_v}
+            values = {"noise_rms_v": found.noise_rms_v.get(label), "trigger_level_v": level_v}
     if kind == "board":
-        values = _facts(next((board for board in found.boards if board.serial == which), None))
+        values = _facts(next((board for board in found.boards if board.serial == label), None))
     if owned:
         detail = f"{detail}; {remedy}"  # the owner may stand in either
     return Finding(
@@ -130,7 +130,7 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Findi
 
 
 def _wanted(parameters: DaqmxParameters) -> set[int]:
-    """Collect the serial numbers of our boards."""
+    """Return the serial numbers of the configured boards."""
     wirings = parameters.transducers.values()
     return {int(serial, 16) for wiring in wirings for serial in (wiring.board_serial, wiring.coil_serial)}
 
@@ -141,8 +141,8 @@ def _facts(board: BoardFacts | None) -> dict[str, float | str | bool | None]:
     return {name: getattr(board, name) for name in BOARD_FACTS}
 
 
-def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
-    """Say in words what the board agreed to."""
+def _settings_text(parameters: DaqmxParameters, position: str, check: str) -> str:
+    """Return in words the settings that the board accepted."""
     wiring = parameters.transducers[position]
     if check == "trigger":
         held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
@@ -156,7 +156,7 @@ def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
 
 
 def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
-    """Each coil of the board must be among the lines that the watchdog pulls low."""
+    """Check that each coil of the board is among the lines that the watchdog pulls low."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
         f"{wiring.output_terminal} (position {position})"
@@ -177,8 +177,8 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
 
 
 def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
-    """Name boards that drive coils without a watchdog while others have one."""
-    coils = {int(its.coil_serial, 16) for its in parameters.transducers.values() if its.strikes}
+    """Return warnings on boards that drive coils without a watchdog while others have one."""
+    coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return [
         Finding(
             subject=f"watchdog of board {serial:08X}",
@@ -193,7 +193,7 @@ def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
 
 
 def digital_name(terminal: str) -> str:
-    """Digital name of an X Series terminal: PFI 0..7 are port 1, PFI 8..15 port 2; empty for others."""
+    """Return the digital name of an X Series terminal: PFI 0..7 are port 1, 8..15 port 2; else empty."""
     match = re.fullmatch(r"PFI(\d+)", terminal)
     if match is None:
         return ""

@@ -1,4 +1,4 @@
-"""What the NI-DAQmx driver is told: boards, wiring, record, strike. Imports nothing of the vendor's.
+"""Parameters of the NI-DAQmx driver: boards, wiring, record, strike. Imports nothing of the vendor's.
 
 A file embeds `DaqmxParameters` as ``[rig.daqmx]`` and each transducer's wiring as
 ``[rig.daqmx.transducers.B]``, by the position it belongs to.
@@ -34,13 +34,13 @@ _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
 
 
 def fall_s(height_m: float) -> float:
-    """Time of a free fall, s."""
+    """Return the time of a free fall, s."""
     return math.sqrt(2.0 * height_m / GRAVITY_M_PER_S2)
 
 
 @bounded
 class TransducerWiring:
-    """Where one transducer is connected: its PZT disk to an input, its coil to a counter's output."""
+    """Wiring of one transducer: its PZT disk at an input, its coil at a counter's output."""
 
     board_serial: str
     """Serial number of the digitizer board as printed on its label (hexadecimal, like `01A2B3C4`)."""
@@ -64,39 +64,41 @@ class TransducerWiring:
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
-        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
-            _match("striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty")
+            _require_match(
+                "striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty"
+            )
         if self.input or not self.counter:
-            _match("input", self.input, _INPUT, "an analog input, like ai0")
+            _require_match("input", self.input, _INPUT, "an analog input, like ai0")
         if self.counter:
-            _match("counter", self.counter, _COUNTER, "a counter, like ctr0")
+            _require_match("counter", self.counter, _COUNTER, "a counter, like ctr0")
         if self.striker_serial and not (self.input and self.counter):
             raise ValueError(
                 f"striker_serial is {self.striker_serial}, but {'counter' if self.input else 'input'} is "
                 "empty, so one board does it all: name it as board_serial and leave striker_serial out"
             )
-        _match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
+        _require_match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
 
     @property
     def digitizes(self) -> bool:
-        """Whether a board here samples the transducer."""
+        """Return whether a board here samples the transducer."""
         return bool(self.input)
 
     @property
     def strikes(self) -> bool:
-        """Whether a counter here pulses its coil."""
+        """Return whether a counter here pulses its coil."""
         return bool(self.counter)
 
     @property
     def coil_serial(self) -> str:
-        """Serial number of the board that drives the coil."""
+        """Return the serial number of the board that drives the coil."""
         return self.striker_serial or self.board_serial
 
 
 @bounded
 class WatchdogWiring:
-    """X Series watchdog: the board itself pulls the coil's lines low if this program stops feeding it."""
+    """Watchdog of X Series: the board pulls the coil's lines low if this program stops resetting it."""
 
     board_serial: str
     """Serial number of the X Series board whose counters drive the coils."""
@@ -106,16 +108,16 @@ class WatchdogWiring:
     """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
 
     def __post_init__(self) -> None:
-        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        _require_match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if not self.lines:
             raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
         for line in self.lines:
-            _match("lines", line, _LINE, "digital lines, like port2/line4")
+            _require_match("lines", line, _LINE, "digital lines, like port2/line4")
 
 
 @bounded
 class GrpcTls:
-    """Encryption of the way to NI's gRPC device server, as its own configuration asks for it.
+    """Encryption of the connection to NI's gRPC device server, as its own configuration requires it.
 
     A server with `server_cert` and `server_key` needs the root certificate here, one with `root_cert` also
     knows its clients by theirs (mutual TLS). Files in PEM form.
@@ -137,7 +139,7 @@ class GrpcTls:
 
 @bounded
 class DaqmxParameters:
-    """Digitizers and strikers of a rig on NI-DAQmx boards."""
+    """Parameters of digitizers and strikers on NI-DAQmx boards."""
 
     transducers: Mapping[str, TransducerWiring]
     """Wiring of each solitary-wave transducer, by its position."""
@@ -213,7 +215,7 @@ class DaqmxParameters:
                 )
 
     def check_holdoff(self, holdoff_s: float | None) -> None:
-        """Raise ValueError for a holdoff, as asked or as a board would time it, that cannot work."""
+        """Raise ValueError for a holdoff, as requested or as timed by a board, that cannot work."""
         latest_s = self.fall_s - self.pretrigger_samples / self.sample_rate_hz
         if self.ringing_s >= latest_s:
             raise ValueError(
@@ -233,11 +235,11 @@ class DaqmxParameters:
             )
 
     def _check_holdoff_s_counter(self) -> None:
-        """Refuse a holdoff without the coil's counter, which begins it."""
+        """Reject a holdoff without the coil's counter, which starts it."""
         if self.holdoff_s is None:
             return
-        alone = [name for name, its in self.transducers.items() if its.digitizes and not its.strikes]
-        if alone or not any(its.digitizes for its in self.transducers.values()):
+        alone = [name for name, wiring in self.transducers.items() if wiring.digitizes and not wiring.strikes]
+        if alone or not any(wiring.digitizes for wiring in self.transducers.values()):
             at = alone[0] if alone else next(iter(self.transducers))
             raise ValueError(
                 f"holdoff_s is {self.holdoff_s:g} s, but transducers.{at} has no "
@@ -247,17 +249,19 @@ class DaqmxParameters:
 
     def _check_transport(self) -> None:
         if self.transport == "grpc":
-            _match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
+            _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
             raise ValueError(
                 f"grpc_address is {self.grpc_address!r} but transport is 'library'; set transport = 'grpc'"
             )
         if self.grpc_tls is not None and self.transport != "grpc":
             raise ValueError("grpc_tls is given but transport is 'library'; set transport = 'grpc'")
-        _match("grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -")
+        _require_match(
+            "grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -"
+        )
 
     def _check_wiring(self) -> None:
-        """Refuse two transducers on one input, counter or terminal.
+        """Reject two transducers on one input, counter or terminal.
 
         A counter cannot serve two coils in turn: a route that a task has given up may stay connected,
         and then both coils would pulse.
@@ -277,13 +281,13 @@ class DaqmxParameters:
                     )
 
     def watchdog_of(self, serial: str) -> WatchdogWiring | None:
-        """Watchdog of a board, by its serial number in any form."""
+        """Return the watchdog of a board, by its serial number in any form."""
         of_board = (one for one in self.all_watchdogs if int(one.board_serial, 16) == int(serial, 16))
         return next(of_board, None)
 
     @property
     def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
-        """Every watchdog, whichever way it is written."""
+        """Return every watchdog, in either notation."""
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
@@ -305,7 +309,7 @@ class DaqmxParameters:
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
                 f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
             )
-        coil_serials = {int(its.coil_serial, 16) for its in self.transducers.values() if its.strikes}
+        coil_serials = {int(wiring.coil_serial, 16) for wiring in self.transducers.values() if wiring.strikes}
         if int(watchdog.board_serial, 16) not in coil_serials:
             raise ValueError(
                 f"watchdog.board_serial is {watchdog.board_serial}; no coil is driven by that board; name "
@@ -314,12 +318,12 @@ class DaqmxParameters:
 
     @property
     def fall_s(self) -> float:
-        """Free fall of the striker, s."""
+        """Return the free fall of the striker, s."""
         return fall_s(self.drop_height_m)
 
     @property
     def longest_call_s(self) -> float:
-        """Longest time one call of an instrument may take over gRPC, clean-up included.
+        """Return the longest time that one call may take over gRPC, clean-up included.
 
         Self-calibration is slowest: ten times `call_timeout_s`; the nine calls that stop and clear what is
         left take one each.
@@ -328,21 +332,24 @@ class DaqmxParameters:
 
     @property
     def initial_delay_s(self) -> float:
-        """From the counter's start to the coil's pulse: twice the pre-trigger, which fills meanwhile."""
+        """Return the delay from the counter's start to the coil's pulse.
+
+        Twice the pre-trigger, which fills then.
+        """
         return 2.0 * self.pretrigger_samples / self.sample_rate_hz
 
     @property
     def whole_strike_samples(self) -> int:
-        """Samples from the coil's switching on to the last one of a wave, friction allowed for."""
+        """Return the samples from the coil's switching on to the last of a wave, with margin for friction."""
         return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:
-        """From the counter's start to the last sample, friction allowed for."""
+        """Return the time from the counter's start to the last sample, with margin for friction."""
         record_s = self.record_samples / self.sample_rate_hz
         return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
 
 
-def _match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
+def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

@@ -1,4 +1,4 @@
-"""One strike as the input sees it, from the coil's switching on to the end of the wave, whatever triggers."""
+"""Record of one strike at the input, from the coil's switching on to the end of the wave, untriggered."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hardware_drivers.measurement import Waveform
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PulseRecord:
-    """What is at a sensor's input during one strike.
+    """Voltage at a sensor's input during one strike.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class PulseRecord:
 
 
 class FreeInput:
-    """One sensor's input without a reference trigger: at rest, or over a whole strike.
+    """Input of one sensor without a reference trigger: at rest, or over a complete strike.
 
     The thread that makes it is the only one that may call it.
 
@@ -56,7 +56,7 @@ class FreeInput:
         self._chassis = Chassis(parameters)
 
     def quiet(self) -> Waveform:
-        """Record as long as a shot's, at once, with the coil at rest."""
+        """Record the input at once, with the coil at rest, for the length of a shot."""
         with self._chassis.attempt():
             acquisition = self._chassis.acquisition(self.position, "noise")
             acquisition.start()
@@ -76,7 +76,7 @@ class FreeInput:
         return record
 
     def close(self) -> None:
-        """Coil off and every task cleared; harmless when done before."""
+        """Switch the coil off and clear every task; harmless when done before."""
         self._chassis.close()
 
 

@@ -1,4 +1,4 @@
-"""Way to the boards of another computer: a channel to NI's gRPC device server, every call bounded.
+"""Remote boards: a channel to NI's gRPC device server, with a deadline for every call.
 
 Importing this module needs the `grpc` extra. NI's client sets no deadline on any call and gRPC's
 limit of a message is 4 MB; both are set here. No web proxy is used.
@@ -35,11 +35,14 @@ class _CallDetails(
     ),
     grpc.ClientCallDetails,  # type: ignore[misc] # grpc ships no types
 ):
-    """What gRPC hands to an interceptor, with another deadline."""
+    """Call details of gRPC with another deadline."""
 
 
 class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc ships no types
-    """Give every call a deadline: the answer's own time after whatever the call itself waits for."""
+    """Interceptor that gives every call a deadline.
+
+    The time of the call's own wait plus one for the response.
+    """
 
     def __init__(self, call_timeout_s: float) -> None:
         self._call_timeout_s = call_timeout_s
@@ -60,7 +63,7 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
         return continuation(bounded, request)
 
     def deadline_s(self, method: str, request: Any) -> float:
-        """Longest time this call may take."""
+        """Return the longest time this call may take."""
         name = method.rsplit("/", 1)[-1]
         if name in SLOW_CALLS:
             return SLOWER * self._call_timeout_s
@@ -73,7 +76,7 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
 
 
 class Channel:
-    """A gRPC channel that is closed once."""
+    """Channel of gRPC that is closed only once."""
 
     def __init__(
         self, address: str, *, call_timeout_s: float, record_samples: int, tls: GrpcTls | None = None
@@ -110,7 +113,7 @@ def _credentials(tls: GrpcTls) -> Any:
 
 
 def _read(file: Path | None) -> bytes | None:
-    """Bytes of a PEM file; what is none would only show as a server that cannot be reached."""
+    """Return the bytes of a PEM file, or raise: later a wrong file would look like an unreachable server."""
     if file is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""What `solimon doctor` asks of the boards: nothing strikes, nothing is changed, each answer has a state."""
+"""Survey of the boards for `solimon doctor`: nothing strikes, nothing is changed, each result has a state."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ READ_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardFacts:
-    """One board of the system, ours or not."""
+    """Facts about one board of the system, configured or not."""
 
     serial: str
     name: str
@@ -57,7 +57,7 @@ class BoardFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Survey:
-    """Everything found.
+    """Result of a survey.
 
     Attributes
     ----------
@@ -73,42 +73,44 @@ class Survey:
 
     @property
     def state(self) -> State:
-        """The worst state found."""
+        """Return the worst state of all findings."""
         states = {finding.state for finding in self.findings}
         return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
 
 
-def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
-    """Look at driver and boards before anything is wired; errors become findings."""
-    nobody = {"": TransducerWiring(board_serial="0")}
-    look = _Look(DaqmxParameters(transducers=nobody, transport=transport, grpc_address=grpc_address))
-    connection = look.reached()
+def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
+    """Survey driver and boards before anything is wired; errors become findings."""
+    no_wiring = {"": TransducerWiring(board_serial="0")}
+    visit = _BoardSurvey(
+        DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address)
+    )
+    connection = visit.reached()
     if connection is not None:
         try:
-            look.at_installed(connection)
+            visit.at_installed(connection)
         finally:
             connection.close()
-    look.end()
-    return look.result()
+    visit.end()
+    return visit.result()
 
 
-def survey(parameters: DaqmxParameters) -> Survey:
-    """Look at driver, boards and every transducer's wiring without striking; errors become findings."""
-    look = _Look(parameters)
-    connection = look.reached()
+def survey_rig(parameters: DaqmxParameters) -> Survey:
+    """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
+    visit = _BoardSurvey(parameters)
+    connection = visit.reached()
     if connection is not None:
         try:
-            look.at_boards(connection)
+            visit.at_boards(connection)
             for position in parameters.transducers:
-                look.at_transducer(connection, position)
+                visit.at_transducer(connection, position)
         finally:
             connection.close()
-    look.end()
-    return look.result()
+    visit.end()
+    return visit.result()
 
 
-class _Look:
-    """Findings as they come in."""
+class _BoardSurvey:
+    """Survey in progress: collects the findings."""
 
     def __init__(self, parameters: DaqmxParameters) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
@@ -121,7 +123,7 @@ class _Look:
         self._lock: ClientLock | None = None
 
     def reached(self) -> Connection | None:
-        """Reach the driver, on a server under this rig's own name."""
+        """Connect to the driver, on a server under this rig's own name."""
         parameters = self._parameters
         connections: list[Connection] = []
 
@@ -141,16 +143,16 @@ class _Look:
         return None
 
     def at_boards(self, connection: Connection) -> None:
-        """All boards, ours with what they say of themselves."""
+        """Survey all boards, the configured ones in detail."""
         ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
         ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
-        there = self.at_installed(connection, ours)
-        for serial in sorted(ours - set(there)):
+        boards = self.at_installed(connection, ours)
+        for serial in sorted(ours - set(boards)):
             self._add(
                 f"board {serial}",
                 "present",
                 "fail",
-                f"no board with this serial number; there are: {', '.join(there) or 'none'}",
+                f"no board with this serial number; there are: {', '.join(boards) or 'none'}",
                 "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]",
             )
         for facts in self._facts:
@@ -158,13 +160,13 @@ class _Look:
                 self._assess_board(facts)
 
     def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
-        """Each board that the driver knows, by serial number."""
-        there: dict[str, Any] = {}
-        self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
-        for serial, device in there.items():
+        """Survey each board that the driver knows, by serial number."""
+        boards: dict[str, Any] = {}
+        self._checked("driver", "lists its boards", lambda: boards.update(installed(connection)))
+        for serial, device in boards.items():
             subject = f"board {serial}"
             self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
-        return there
+        return boards
 
     def _describe(self, serial: str, device: Any, ours: bool) -> str:
         board = describe(serial, device)
@@ -237,7 +239,7 @@ class _Look:
         )
 
     def at_transducer(self, connection: Connection, position: str) -> None:
-        """Input, trigger, coil and noise of one transducer."""
+        """Survey input, trigger, coil and noise of one transducer."""
         parameters, wiring = self._parameters, self._parameters.transducers[position]
         board = self._boards.get(same_serial(wiring.board_serial))
         coil_board = self._boards.get(same_serial(wiring.coil_serial))
@@ -252,7 +254,7 @@ class _Look:
             self._checked(
                 subject,
                 "coil's counter",
-                lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
+                lambda: _released(commit_coil(connection, parameters, position, coil_board)),
             )
         if wiring.digitizes:
             self._look_at_noise(connection, position, board, coil_board)
@@ -266,7 +268,7 @@ class _Look:
         self._checked(
             subject,
             "trigger",
-            lambda: _given_back(
+            lambda: _released(
                 commit_acquisition(connection, parameters, position, board, coil_board, record="shot")
             ),
         )
@@ -316,12 +318,12 @@ class _Look:
         return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
 
     def end(self) -> None:
-        """Give the client name free."""
+        """Release the client name."""
         if self._lock is not None:
             self._lock.release()
 
     def result(self) -> Survey:
-        """All that was found."""
+        """Return the result."""
         return Survey(
             package_version=version("nidaqmx"),
             driver_version=self._driver_version,
@@ -331,7 +333,7 @@ class _Look:
         )
 
     def _checked(self, subject: str, check: str, work: Callable[[], object]) -> bool:
-        """Do it; an error is a finding, its message names the remedy."""
+        """Run a check; an error becomes a finding, its message names the remedy."""
         try:
             detail = work()
         except InstrumentError as error:
@@ -348,7 +350,7 @@ class _Look:
         )
 
 
-def _given_back(committed: Acquisition | Coil) -> str:
+def _released(committed: Acquisition | Coil) -> str:
     if not committed.close():
         raise ConnectionLostError(
             "committed, but the driver did not take it back; end what else uses the board, or reset it"

@@ -1,4 +1,4 @@
-"""From NI's errors to the four classes that cross the driver's border.
+"""Translation of NI's errors into the four classes that leave the driver.
 
 Every vendor call of this package runs inside `vendor_call`. A DAQmx status that no table below names
 is a contradiction in the request: configuration. ``docs/reference/faults-daqmx.md`` lists the tables.
@@ -164,7 +164,7 @@ _NOISE = re.compile(r"status code: ?-?\d+\.?", re.IGNORECASE)
 
 
 def class_of(status: int) -> type[InstrumentError]:
-    """Error class of a DAQmx status below zero."""
+    """Return the error class of a DAQmx status below zero."""
     if status in MISSED:
         return AcquisitionTimeoutError
     if status in BUSY:
@@ -175,7 +175,7 @@ def class_of(status: int) -> type[InstrumentError]:
 
 
 def owner_in(text: str) -> str:
-    """Owner of a resource as far as the driver's text names one, else empty."""
+    """Return the owner of a resource if the driver's text names one, else empty."""
     named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
     # The driver's own sentence ("reserved by another process") is the shorter one.
     return max((owner.strip(" .'\"") for owner in named), key=len, default="")
@@ -226,21 +226,21 @@ def translated(error: Exception, doing: str) -> InstrumentError:
 @contextmanager
 def vendor_call(doing: str) -> Iterator[None]:
     """Translate what a vendor's call raises; log the driver's warnings instead of printing them."""
-    heard: list[warnings.WarningMessage]
+    caught: list[warnings.WarningMessage]
     try:
-        with warnings.catch_warnings(record=True) as heard:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield
     except InstrumentError:
         raise
     except Exception as error:
         raise translated(error, doing) from error
-    for warning in heard:
+    for warning in caught:
         log.warning("%s: %s", doing, _one_line(str(warning.message)))
 
 
-def metadata(read: Callable[[], T], unknown: T, what: str) -> T:
-    """Ask for what no record hangs on: a date, a temperature, a version; unknown, with a warning, is enough.
+def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
+    """Read optional metadata (date, temperature, version); unknown, with a warning, is enough.
 
     Raises
     ------
@@ -250,12 +250,12 @@ def metadata(read: Callable[[], T], unknown: T, what: str) -> T:
     from nidaqmx.errors import Error
 
     try:
-        with vendor_call(f"reading {what}"):
+        with vendor_call(f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, Error):
             raise
-        log.warning("%s is unknown: %s", what, error)
+        log.warning("%s is unknown: %s", subject, error)
         return unknown
 
 
@@ -271,7 +271,7 @@ def _from_status(error: Exception, doing: str) -> InstrumentError:
 
 
 def _grpc_reason(error: BaseException | None) -> str:
-    """Return gRPC's own words: NI's package puts "Failed to connect to server" in place of every reason."""
+    """Return gRPC's own words, which NI's package hides behind "Failed to connect to server"."""
     return str(getattr(error, "details", str)() or "")
 
 
@@ -291,5 +291,5 @@ def _is_bare_rpc_error(error: Exception) -> bool:
 
 
 def _one_line(text: str) -> str:
-    """Text without line breaks, status line (told apart) and the full stop at its end."""
+    """Return text without line breaks, status line (reported apart) and the full stop at its end."""
     return " ".join(_NOISE.sub("", text).split()).rstrip(". ")

@@ -1,4 +1,4 @@
-"""From single records to one averaged record in whole counts.
+"""Average of single records, in whole counts.
 
 The average is kept as the exact integer sum of the records' counts; the scaling polynomial is divided by
 their number instead. So nothing is rounded: every sum is a count that can be stored, and
@@ -19,7 +19,7 @@ from hardware_drivers.measurement import Calibration, Counts
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Codes:
-    """How a board's ADC fills the integers it hands over.
+    """Range of an ADC's codes within the integers of the driver.
 
     Attributes
     ----------
@@ -34,17 +34,17 @@ class Codes:
 
     @property
     def lowest(self) -> int:
-        """Code at the lower end."""
+        """Return the code at the lower end."""
         return -(1 << (self.width_bits - 1))
 
     @property
     def highest(self) -> int:
-        """Code at the upper end."""
+        """Return the code at the upper end."""
         return (1 << (self.width_bits - 1)) - self.step
 
 
 def codes_of(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
-    """Scale of the codes from the driver's gain, since only the gain says how far they are padded.
+    """Return the scale of the codes from the driver's gain, which alone shows their padding.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def codes_of(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AveragedRecord:
-    """Sum of the records and what they showed one by one.
+    """Sum of the records and the properties of each.
 
     Attributes
     ----------

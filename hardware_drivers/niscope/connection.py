@@ -1,4 +1,4 @@
-"""Connection to one board: opened, set up, lost and found again.
+"""Connection to one board: opened, configured, lost and found again.
 
 Recovery climbs one rung at each acquisition after the connection was lost: a fresh session, then a reset
 of the board, then a search for it under its other names. Only a board with the right serial number is ever
@@ -38,7 +38,7 @@ SEARCH_RUNG = 3
 
 
 class BoardConnection:
-    """One board and the probe it is set up for.
+    """Board and the probe it is configured for.
 
     Parameters
     ----------
@@ -61,11 +61,11 @@ class BoardConnection:
 
     @property
     def board(self) -> Board | None:
-        """Who the board was when it was last opened."""
+        """Return the board's description from when it was last opened."""
         return self._board
 
     def prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
-        """Open the board if need be and set it up for a probe, unless it already is.
+        """Open the board if necessary and configure it for a probe, unless it already is.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class BoardConnection:
     def acquire(
         self, position: str, wiring: ProbeWiring, timeout_s: float
     ) -> tuple[Board, Setup, Fetched, str]:
-        """Return the records of one acquisition, and what the driver warned of meanwhile.
+        """Return the records of one acquisition, and the warnings of the driver meanwhile.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class BoardConnection:
             return board, setup, fetched, noted.text()
 
     def self_calibrate(self) -> Board:
-        """Let the board adjust itself; it is set up again before the next record."""
+        """Run the board's self-calibration; it is configured again before the next record."""
         with self._ladder():
             board = self._open()
             self._position = None
@@ -102,7 +102,7 @@ class BoardConnection:
             return board
 
     def close(self) -> None:
-        """Let the board go; a dead connection is let go too."""
+        """Release the board, even over a dead connection."""
         session, self._session, self._position = self._session, None, None
         if session is None:
             return
@@ -112,7 +112,7 @@ class BoardConnection:
 
     @contextlib.contextmanager
     def _ladder(self) -> Iterator[None]:
-        """Count what was lost: the next call climbs a rung."""
+        """Count a loss: the next call takes one more recovery step."""
         try:
             yield
         except ConnectionLostError as error:
@@ -138,7 +138,7 @@ class BoardConnection:
         return board, self._setup
 
     def _open(self) -> Board:
-        """Open the board on the rung that the failures so far call for."""
+        """Open the board with the recovery step that the failures require."""
         if self._session is not None and self._board is not None:
             return self._board
         known = self._board
@@ -166,7 +166,9 @@ class BoardConnection:
         try:
             with vendor_calls(self._niscope, f"asking {name!r} who it is"):
                 board = describe(self._session, name)
-                if self._serial_number and _plain(board.serial_number) != _plain(self._serial_number):
+                if self._serial_number and _normalized(board.serial_number) != _normalized(
+                    self._serial_number
+                ):
                     raise BoardAbsentError(
                         f"{name!r} is a {board.product} with serial number {board.serial_number!r}, not "
                         f"{self._serial_number!r}"
@@ -179,6 +181,6 @@ class BoardConnection:
         return board
 
 
-def _plain(serial_number: str) -> str:
-    """Take off what differs between a label and a driver: case and leading zeros."""
+def _normalized(serial_number: str) -> str:
+    """Remove the differences between a label and a driver: case and leading zeros."""
     return serial_number.strip().lstrip("0").casefold()

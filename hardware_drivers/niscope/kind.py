@@ -10,7 +10,7 @@ import numpy as np
 
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Echo
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.niscope.parameters import REACHED_BY, NiscopeParameters
 
@@ -28,7 +28,7 @@ def _open(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Finding]:
-    """Open each probe's board, ask who it is, and take one averaged record: that only listens."""
+    """Open each probe's board, read its identity, and take one averaged record without firing."""
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     for position, wiring in parameters.probes.items():
@@ -49,7 +49,7 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
                 key = ShotKey(position=position, set_index=0, shot_index=0)
                 yield from _record(subject, unit.acquire(key, parameters.call_timeout_s))
         except InstrumentError as error:
-            yield failed(subject, check, error, RUNTIME)
+            yield finding_of_error(subject, check, error, RUNTIME)
 
 
 def _record(subject: str, echo: Echo) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Parameters of the pulse-echo unit: which probe hangs on which input, and how it is recorded.
+"""Parameters of the pulse-echo unit: the input of each probe, and its recording.
 
 A file embeds them as ``[rig.niscope]`` with one ``[rig.niscope.probes.NAME]`` a position.
 """
@@ -18,7 +18,7 @@ REACHED_BY = frozenset({"call_timeout_s"})
 
 @bounded
 class ProbeWiring:
-    """One ultrasonic probe: its board, its input and its pulser-receiver."""
+    """Wiring of one ultrasonic probe: its board, input and pulser-receiver."""
 
     resource: str
     """Name of the board in NI MAX or `nilsdev`, for example `PXI1Slot4`."""
@@ -64,7 +64,7 @@ class ProbeWiring:
 
 @bounded
 class NiscopeParameters:
-    """All ultrasonic probes and how their records are taken."""
+    """Parameters of all ultrasonic probes and their records."""
 
     probes: Mapping[str, ProbeWiring]
     """Wiring of each pulse-echo position by its name."""
@@ -84,7 +84,7 @@ class NiscopeParameters:
         self._check_sharing()
 
     def _check_sharing(self) -> None:
-        """Probes on one board take turns: each on its own input, and of one mind about the board."""
+        """Check probes that share a board: each on its own input, with equal settings of the board."""
         first_on: dict[str, str] = {}
         wired: dict[tuple[str, str], str] = {}
         for position, wiring in self.probes.items():

@@ -83,11 +83,11 @@ class NiscopePulseEchoUnit:
             gain_db=wiring.gain_db,
             offset_v=setup.offset_v,
             averages=setup.records,
-            settings=_settings(wiring, board, setup, fetched, averaged, warned),
+            settings=_stored_settings(wiring, board, setup, fetched, averaged, warned),
         )
 
     def self_calibrate(self) -> Mapping[str, str]:
-        """Let each board adjust itself, between sets.
+        """Run the self-calibration of each board, between sets.
 
         Returns
         -------
@@ -126,7 +126,7 @@ class NiscopePulseEchoUnit:
 
 @contextlib.contextmanager
 def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit]:
-    """Open the boards of all probes and set each up once, so that a wrong value shows at the start.
+    """Open the boards of all probes and configure each once, so that a wrong value shows at the start.
 
     Raises
     ------
@@ -147,10 +147,10 @@ def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit
         yield NiscopePulseEchoUnit(parameters, connections)
 
 
-def _settings(
+def _stored_settings(
     wiring: ProbeWiring, board: Board, setup: Setup, fetched: Fetched, averaged: AveragedRecord, warned: str
 ) -> dict[str, float | str]:
-    """Everything that a reader of the record may ask for, SI units in the names."""
+    """Return all settings that a reader of the record may need, SI units in the names."""
     settings: dict[str, float | str] = {
         "board_serial": board.serial_number,
         "product": board.product,

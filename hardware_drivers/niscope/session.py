@@ -31,7 +31,7 @@ RELATIVE_TOLERANCE = 1e-9
 
 
 def vendor_package() -> ModuleType:
-    """Import `niscope` and make sure that both of its libraries load.
+    """Import `niscope` and check that both of its libraries load.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def open_session(niscope: ModuleType, resource: str) -> Any:
 
 
 def close_session(niscope: ModuleType, session: Any) -> None:
-    """Close a board, with a second try: nobody else can close it."""
+    """Close a board, with a second try: no later call can close it."""
     handle = session._interpreter.get_session_handle()
     try:
         session.close()
@@ -90,7 +90,7 @@ def close_session(niscope: ModuleType, session: Any) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """What a board says of itself."""
+    """Description of a board."""
 
     resource: str
     serial_number: str
@@ -100,7 +100,7 @@ class Board:
 
 
 def describe(session: Any, resource: str) -> Board:
-    """Ask a board who it is."""
+    """Read a board's description."""
     return Board(
         resource=resource,
         serial_number=session.serial_number,
@@ -112,7 +112,7 @@ def describe(session: Any, resource: str) -> Board:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What the hardware really uses for one probe, read back after the commit."""
+    """Settings of the hardware for one probe, read back after the commit."""
 
     sample_rate_hz: float
     record_samples: int
@@ -128,7 +128,7 @@ class Setup:
 def configure(
     niscope: ModuleType, session: Any, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
 ) -> Setup:
-    """Set the board up for one probe and read back what it took.
+    """Configure the board for one probe and read back its settings.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def configure(
 
 
 def trigger_terminal(wiring: ProbeWiring) -> str:
-    """Name NI-SCOPE gives the trigger's source."""
+    """Return NI-SCOPE's name of the trigger source."""
     return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
 
 
@@ -225,10 +225,10 @@ def _refuse_coerced(
         "range_v": (wiring.range_v, setup.range_v),
         "input_impedance_ohm": (wiring.input_impedance_ohm, channel.input_impedance),
     }
-    for key, (asked, given) in pairs.items():
-        if not math.isclose(asked, given, rel_tol=RELATIVE_TOLERANCE):
+    for key, (requested, given) in pairs.items():
+        if not math.isclose(requested, given, rel_tol=RELATIVE_TOLERANCE):
             raise ConfigurationError(
-                f"{key} is {asked}; the {board.product} at {board.resource!r} would use {given}: ask for "
+                f"{key} is {requested}; the {board.product} at {board.resource!r} would use {given}: ask for "
                 "that or for another value that the board has"
             )
     if not 2 <= setup.resolution_bits <= 32:
@@ -306,7 +306,7 @@ def fetch(session: Any, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> 
 def _check_time(
     waveforms: list[Any], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
 ) -> None:
-    """Time zero is the firing pulse, one firing a record: the driver's own times must say so."""
+    """Check by the driver's times that time zero is the firing pulse, one firing per record."""
     step_s = 1.0 / setup.sample_rate_hz
     steps = {waveform.x_increment for waveform in waveforms}
     if not all(math.isclose(step, step_s, rel_tol=RELATIVE_TOLERANCE) for step in steps):
@@ -327,5 +327,5 @@ def _check_time(
 
 
 def package_version() -> str:
-    """Version of the `niscope` package."""
+    """Return the version of the `niscope` package."""
     return version("niscope")

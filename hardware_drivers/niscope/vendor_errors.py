@@ -1,4 +1,4 @@
-"""What NI-SCOPE reports, as one of the four classes of `hardware_drivers.errors`.
+"""Translation of NI-SCOPE's errors into the four classes of `hardware_drivers.errors`.
 
 Codes are those of NI's header ``niScope.h`` (IVI base 0xBFFA0000, IVI class 0x2000, NI-SCOPE 0x4000).
 Newer boards run on NI-DAQmx's kernel and wrap its status as ``Status Code: -nnn`` in the text: a wrapped
@@ -46,7 +46,7 @@ _GONE = (
 
 
 class BoardAbsentError(ConnectionLostError):
-    """The board that was asked for is not there, or another one answers to its name."""
+    """Error: the requested board is absent, or another one has its name."""
 
 
 CLASS_OF_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
@@ -92,18 +92,18 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 
 
 class DriverWarnings:
-    """What the driver warned of while vendor calls ran: an overload, an unlocked clock."""
+    """Warnings of the driver during vendor calls: an overload, an unlocked clock."""
 
     def __init__(self) -> None:
         self.messages: list[str] = []
 
     def text(self) -> str:
-        """All warnings on one line, each once."""
+        """Return all warnings on one line, each once."""
         return "; ".join(dict.fromkeys(" ".join(message.split()) for message in self.messages))
 
 
 def class_of(code: int, description: str) -> type[InstrumentError]:
-    """Class of a driver's error."""
+    """Return the class of a driver's error."""
     codes = (code, *map(int, _WRAPPED.findall(description)))
     known = (CLASS_OF_CODE.get(number) or CLASS_OF_KERNEL_CODE.get(number) for number in codes)
     return next((kind for kind in known if kind is not None), UnknownStatusError)
@@ -133,7 +133,7 @@ def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentE
 
 @contextmanager
 def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
-    """Translate what the calls inside raise and keep what the driver warns of.
+    """Translate errors of the calls inside and collect the driver's warnings.
 
     The warnings filter of the process is changed meanwhile: the driver is used by one thread.
 
@@ -142,11 +142,11 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
     InstrumentError
         One of the four classes, from the vendor's exception.
     """
-    kept = DriverWarnings()
+    driver_warnings = DriverWarnings()
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always", niscope.errors.DriverWarning)
         try:
-            yield kept
+            yield driver_warnings
         except InstrumentError:
             raise
         except (niscope.errors.Error, *_NONSENSE) as error:
@@ -154,14 +154,14 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
         finally:
             for warning in seen:
                 if issubclass(warning.category, niscope.errors.DriverWarning):
-                    kept.messages.append(str(warning.message))
+                    driver_warnings.messages.append(str(warning.message))
     for warning in seen:
         if not issubclass(warning.category, niscope.errors.DriverWarning):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, what: str) -> T:
-    """Ask for what no record hangs on: a date, a temperature; unknown, with a warning, is enough.
+def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, subject: str) -> T:
+    """Read optional metadata (date, temperature); unknown, with a warning, is enough.
 
     Raises
     ------
@@ -169,10 +169,10 @@ def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, what: str) 
         The driver says that the board is gone: that holds for every other call too.
     """
     try:
-        with vendor_calls(niscope, f"reading {what}"):
+        with vendor_calls(niscope, f"reading {subject}"):
             return read()
     except InstrumentError as error:
         if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, niscope.errors.Error):
             raise
-        log.warning("%s is unknown: %s", what, error)
+        log.warning("%s is unknown: %s", subject, error)
         return unknown

@@ -1,4 +1,4 @@
-"""The recorded times as the experiment's time."""
+"""Clock of a recording: the recorded times as the test's time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class RecordedClock:
-    """A clock that meets the recorded moments: a shot played back has the time at which it was struck.
+    """Clock that stops at the recorded moments: a replayed shot has the time of its strike.
 
     A real rig strikes a little after each planned time. This clock waits for the recorded moment that
     belongs to the planned time, where there is one; otherwise for the planned time itself.
@@ -35,11 +35,11 @@ class RecordedClock:
         self._tolerance_ns = round(tolerance_s * NS_PER_S)
 
     def utc_ns(self) -> int:
-        """Time of the moment that was reached last."""
+        """Return the time of the moment that was reached last."""
         return self._clock.utc_ns()
 
     def mono_ns(self) -> int:
-        """Monotonic time of the clock below."""
+        """Return the monotonic time of the clock below."""
         return self._clock.mono_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:

@@ -24,28 +24,33 @@ SWITCHINGS_KEPT = 1_000
 
 
 class Recording(StruckDigitizer):
-    """The digitizer, and what striker and pulse-echo unit share with it: the source."""
+    """Digitizer, and the source that striker and pulse-echo unit share with it."""
 
     def __init__(self, source: ShotSource) -> None:
         super().__init__()
         self._source = source
 
     def require(self, key: ShotKey, method: str) -> None:
-        """Refuse a position that was not recorded by this method."""
+        """Reject a position that was not recorded by this method."""
         known = self._source.positions
         if known.get(key.position) != method:
-            names = ", ".join(sorted(name for name, its in known.items() if its == method)) or "none"
+            names = (
+                ", ".join(
+                    sorted(name for name, recorded_method in known.items() if recorded_method == method)
+                )
+                or "none"
+            )
             raise ConfigurationError(
                 f"the recording has no {method} position {key.position!r}; it has: {names}; take the "
                 "position out of the configuration, or play back another recording"
             )
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Refuse a position of which no solitary waves were recorded."""
+        """Reject a position without recorded solitary waves."""
         self.require(key, SOLITARY_WAVE)
 
     def record_of(self, key: ShotKey) -> Acquired:
-        """Find the recorded shot and say whether it was the last attempt."""
+        """Return the recorded shot, and whether it was the last attempt."""
         last_attempt = not self._source.tried(replace(key, attempt=key.attempt + 1))
         try:
             return replace(self.find(key), last_attempt=last_attempt)
@@ -54,7 +59,7 @@ class Recording(StruckDigitizer):
             raise
 
     def find(self, key: ShotKey) -> Acquired:
-        """Record of a shot; one that was not recorded is a missed strike."""
+        """Return the record of a shot; one that was not recorded is a missed strike."""
         acquired = self._source.find(key)
         if acquired is None:
             raise AcquisitionTimeoutError(
@@ -65,7 +70,7 @@ class Recording(StruckDigitizer):
 
 
 class RecordedStriker:
-    """Has no coil: it says which shot comes next, and remembers what a coil would have done."""
+    """Striker without a coil: it selects the next shot, and records what a coil would have done."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -73,27 +78,27 @@ class RecordedStriker:
 
     @property
     def switchings(self) -> tuple[tuple[str, bool], ...]:
-        """The newest switchings, oldest first: position, energised or not."""
+        """Return the newest switchings, oldest first: position, energised or not."""
         return tuple(self._switchings)
 
     def strike(self, key: ShotKey) -> None:
-        """Let the armed digitizer play back this shot."""
+        """Make the armed digitizer play back this shot."""
         self._recording.require_transducer(key)
         self._switchings.extend(((key.position, True), (key.position, False)))
         self._recording.strike(key)
 
     def make_safe(self) -> None:
-        """Nothing is ever energised after a strike."""
+        """Do nothing: no coil is ever energised after a strike."""
 
 
 class RecordedPulseEchoUnit:
-    """Plays back pulse-echo records."""
+    """Pulse-echo unit that plays back records."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Hand over the recorded echo."""
+        """Return the recorded echo."""
         require_timeout(timeout_s)
         self._recording.require(key, PULSE_ECHO)
         echo = self._recording.find(key)
@@ -107,7 +112,7 @@ class RecordedPulseEchoUnit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedInstruments:
-    """The instruments of one recording; a rig is composed of them and a clock."""
+    """Instruments of one recording, from which a rig is composed together with a clock."""
 
     striker: RecordedStriker
     digitizer: Recording
@@ -115,7 +120,7 @@ class RecordedInstruments:
 
 
 def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> RecordedInstruments:
-    """Instruments that play back one recording.
+    """Build the instruments that play back one recording.
 
     Parameters
     ----------

@@ -27,11 +27,11 @@ _LARGEST_ORDER = 32
 
 
 class ScalingError(ValueError):
-    """The scaling cannot be expressed as a polynomial of the raw values; says why."""
+    """Error: the scaling is no polynomial of the raw values, with the reason."""
 
 
 def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
-    """Physical value as a polynomial of the raw one.
+    """Return the physical value as a polynomial of the raw one.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def _number_of_scales(properties: Mapping[str, Any]) -> int:
 
 
 def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
-    """Polynomial of the raw values that a source stands for; its inputs must have smaller numbers."""
+    """Return the polynomial of the raw values of a source; its inputs must have smaller numbers."""
     identity = np.array([0.0, 1.0])
     if source == RAW:
         return identity
@@ -99,7 +99,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
 
 
 def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
-    """Outer of inner; the identity changes no bit."""
+    """Return outer of inner; the identity changes no bit."""
     if inner.tolist() == [0.0, 1.0]:
         return outer
     if (outer.size - 1) * (inner.size - 1) > _LARGEST_ORDER:

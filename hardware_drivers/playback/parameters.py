@@ -1,4 +1,4 @@
-"""What to play back: where the recorded shots are, and how LabVIEW's names lead to them."""
+"""Parameters of a playback: the folder of the shots, and the mapping of LabVIEW's names to them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEY_PARTS = ("position", "set", "shot", "attempt")
 
 @bounded
 class TdmsMapping:
-    """How files, groups, channels and properties of LabVIEW TDMS files become shots.
+    """Mapping from files, groups, channels and properties of LabVIEW TDMS files to shots.
 
     Position, set, shot and attempt are named groups of the three patterns (Python regular expressions
     that must match the whole name) or properties; each comes from one place at most. Names that do
@@ -112,7 +112,7 @@ class TdmsMapping:
 
 @bounded
 class PlaybackParameters:
-    """Which recording takes the place of the instruments."""
+    """Recording that replaces the instruments."""
 
     source: Path
     """Archive: a data folder. TDMS: a folder of files, or one file. Relative to the configuration file."""

@@ -1,4 +1,4 @@
-"""Where recorded shots come from: asked for one by one, so that a recording never has to fit in memory."""
+"""Source of recorded shots: read one by one, so that a recording never has to fit in memory."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ SETS_KEPT = 2
 
 @runtime_checkable
 class ShotSource(Protocol):
-    """A recording."""
+    """Source of recorded shots."""
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
+        """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
         ...
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot (an `Echo` where the method is pulse-echo), None if it was not recorded.
+        """Return the record of a shot (an `Echo` for pulse-echo), None if it was not recorded.
 
         Raises
         ------
@@ -37,12 +37,12 @@ class ShotSource(Protocol):
         ...
 
     def tried(self, key: ShotKey) -> bool:
-        """Whether the recording knows of a shot: it has its record, or says that it was missed."""
+        """Return whether the recording has a shot, as a record or as missed."""
         ...
 
 
 def acquired_of(record: Record) -> Acquired:
-    """Give a stored record the form in which its instrument handed it over; nothing in it changes."""
+    """Convert a stored record into the form in which its instrument returned it; no value changes."""
     if isinstance(record, PulseEchoRecord):
         return Echo(
             waveform=record.waveform,
@@ -56,7 +56,7 @@ def acquired_of(record: Record) -> Acquired:
 
 
 class ShotsBySet:
-    """A long recording, read set by set when a shot of the set is asked for.
+    """Long recording, read set by set when a shot of the set is requested.
 
     Parameters
     ----------
@@ -84,20 +84,20 @@ class ShotsBySet:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method."""
+        """Return the recorded positions and their method."""
         return self._positions
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot, None if it was not recorded."""
+        """Return the record of a shot, None if it was not recorded."""
         record = self.records_of_set(key.set_index).get(key)
         return None if record is None else acquired_of(record)
 
     def tried(self, key: ShotKey) -> bool:
-        """Whether it was recorded."""
+        """Return whether the shot was recorded."""
         return key in self.records_of_set(key.set_index)
 
     def records_of_set(self, set_index: int) -> Mapping[ShotKey, Record]:
-        """Every record of a set, from memory if it was asked for lately."""
+        """Return every record of a set, from memory if it was requested lately."""
         if set_index not in self._sets:
             self._sets[set_index] = {record.key: record for record in self._read(set_index)}
             while len(self._sets) > self._sets_kept:

@@ -24,7 +24,7 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
-from hardware_drivers.playback.tdms_by_name import plays_by_name, shots_by_name
+from hardware_drivers.playback.tdms_by_name import is_by_name, shots_by_name
 from hardware_drivers.playback.tdms_channel import (
     Channel,
     Conversion,
@@ -41,8 +41,8 @@ _NAMES_SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Place:
-    """Where a record lies, and how it becomes a waveform."""
+class _RecordLocation:
+    """Location of a record, and its conversion to a waveform."""
 
     path: Path
     group: str
@@ -60,12 +60,12 @@ class _Place:
 
 
 class TdmsShots:
-    """An opened recording; `close` it, or use it as a context manager.
+    """Opened recording; `close` it, or use it as a context manager.
 
     Made by `open_tdms`. One file is kept open at a time.
     """
 
-    def __init__(self, places: Mapping[ShotKey, _Place], mapping: TdmsMapping) -> None:
+    def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
         self._places = places
         self._mapping = mapping
         self._positions = {key.position: _method(key.position, mapping) for key in places}
@@ -74,32 +74,32 @@ class TdmsShots:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method."""
+        """Return the recorded positions and their method."""
         return self._positions
 
     @property
     def keys(self) -> list[ShotKey]:
-        """Every recorded shot, sorted by set, position, shot and attempt."""
+        """Return every recorded shot, sorted by set, position, shot and attempt."""
         return sorted(
             self._places, key=lambda key: (key.set_index, key.position, key.shot_index, key.attempt)
         )
 
     def utc_ns(self, key: ShotKey) -> int | None:
-        """When a shot was recorded; None if its file does not tell, or there is no such shot."""
+        """Return the time of a shot; None if its file has none, or there is no such shot."""
         place = self._places.get(key)
         return None if place is None else place.utc_ns
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """First recorded time after a time, None after the last one."""
+        """Return the first recorded time after a time, None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
     def tried(self, key: ShotKey) -> bool:
-        """Whether it was recorded."""
+        """Return whether the shot was recorded."""
         return key in self._places
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot, None if it was not recorded.
+        """Return the record of a shot, None if it was not recorded.
 
         Raises
         ------
@@ -162,13 +162,13 @@ def open_tdms(
     """
     mapping = mapping or TdmsMapping()
     require_nptdms()
-    by_name = tuple(positions) if plays_by_name(mapping) else ()
+    by_name = tuple(positions) if is_by_name(mapping) else ()
     if by_name and not mapping.pulse_echo_positions:
         probes = tuple(name for name, method in positions.items() if method == PULSE_ECHO)
         mapping = replace(mapping, pulse_echo_positions=probes)
     if by_name and source.is_file() and re.fullmatch(mapping.file_pattern, source.name) is None:
         mapping = replace(mapping, file_pattern=".*")  # one file alone is set 0
-    places: dict[ShotKey, _Place] = {}
+    places: dict[ShotKey, _RecordLocation] = {}
     shared: dict[tuple[Any, ...], Conversion] = {}
     others: list[str] = []
     for path, name in _files(source, mapping):
@@ -190,7 +190,7 @@ def open_tdms(
 
 
 def _files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
-    """Files looked at, and the names that are matched."""
+    """Return the files, and the names that are matched."""
     if source.is_file():
         return [(source, source.name)]
     if not source.is_dir():
@@ -208,7 +208,7 @@ def _records_of_file(
     shared: dict[tuple[Any, ...], Conversion],
     others: list[str],
     by_name: Sequence[str],
-) -> Iterator[tuple[ShotKey, _Place]]:
+) -> Iterator[tuple[ShotKey, _RecordLocation]]:
     """Find the records of the matching channels; names that do not match are added to ``others``."""
     from_file = re.fullmatch(mapping.file_pattern, name)
     if from_file is None:
@@ -233,27 +233,29 @@ def _records_of_file(
     channels = read_channels(path, wanted)
     if not matched and by_name:
         named = shots_by_name(unmatched, by_name, mapping, name)
-        matched |= {place: {**from_file.groupdict(), **told} for place, told in named.items()}
+        matched |= {place: {**from_file.groupdict(), **parts} for place, parts in named.items()}
         channels = read_channels(path, lambda group, channel: (group, channel) in matched)
     others += [f"{name}/{group}/{channel}" for group, channel in unmatched if (group, channel) not in matched]
     for channel in channels:
         key = shot_key(channel, matched[channel.group, channel.name], mapping)
-        place = _place(channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared)
-        yield from _appended(key, place, channel.n_samples, mapping)
+        place = _first_location(
+            channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared
+        )
+        yield from _appended_records(key, place, channel.n_samples, mapping)
 
 
-def _place(
+def _first_location(
     channel: Channel,
     name: str,
     position: str,
     mapping: TdmsMapping,
     shared: dict[tuple[Any, ...], Conversion],
-) -> _Place:
-    """First record of a channel."""
+) -> _RecordLocation:
+    """Return the first record of a channel."""
     n_samples = samples_of_record(channel, mapping)
     rate_hz = sample_rate_hz(channel, mapping)
     conversion = _shared(conversion_of(channel, mapping), shared)
-    return _Place(
+    return _RecordLocation(
         path=channel.path,
         group=channel.group,
         channel=channel.name,
@@ -273,10 +275,10 @@ def _place(
     )
 
 
-def _appended(
-    key: ShotKey, place: _Place, n_samples: int, mapping: TdmsMapping
-) -> Iterator[tuple[ShotKey, _Place]]:
-    """Give the first record of a channel and those appended to it."""
+def _appended_records(
+    key: ShotKey, place: _RecordLocation, n_samples: int, mapping: TdmsMapping
+) -> Iterator[tuple[ShotKey, _RecordLocation]]:
+    """Yield the first record of a channel and those appended to it."""
     for number in range(n_samples // place.n_samples):
         later_ns = round(number * mapping.shot_interval_s * NS_PER_S)
         yield (
@@ -290,7 +292,7 @@ def _appended(
 
 
 def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) -> Conversion:
-    """One object for all channels that are converted alike: a recording has thousands of them."""
+    """Return one object for all channels with equal conversion: a recording has thousands of them."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
     key = (

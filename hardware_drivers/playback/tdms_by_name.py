@@ -1,4 +1,4 @@
-"""LabVIEW files whose channels all lie in one group: the channel's own name says which shot it is.
+"""Shots of LabVIEW files with one group: the channel's own name identifies the shot.
 
 ``B`` is shot 0 of position B; ``B_3``, ``B shot 3`` and ``B3`` are its shot 3.
 """
@@ -14,8 +14,8 @@ from hardware_drivers.playback.parameters import TdmsMapping
 _NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
 
 
-def plays_by_name(mapping: TdmsMapping) -> bool:
-    """Whether nobody has said how groups and channels lead to shots."""
+def is_by_name(mapping: TdmsMapping) -> bool:
+    """Return whether the mapping leaves the shots to the names of channels."""
     defaults = TdmsMapping()
     keys = (
         "group_pattern",
@@ -31,7 +31,7 @@ def plays_by_name(mapping: TdmsMapping) -> bool:
 def shots_by_name(
     channels: Collection[tuple[str, str]], positions: Collection[str], mapping: TdmsMapping, file: str
 ) -> dict[tuple[str, str], Mapping[str, str | None]]:
-    """Position and shot of the channels that are named after a position; no other channel is looked at.
+    """Return position and shot of the channels named after a position; other channels are not read.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def shots_by_name(
     found: dict[tuple[str, str], Mapping[str, str | None]] = {}
     of_shot: dict[tuple[str, int], str] = {}
     for group, name in channels:
-        fits = _fits(mapping.rename.get(name, name), positions)
+        fits = _possible_shots(mapping.rename.get(name, name), positions)
         if not fits:
             continue
         (position, shot), *others = fits
@@ -56,21 +56,21 @@ def shots_by_name(
         twin = of_shot.setdefault((position, number), name)
         if others or twin != name:
             names = ", ".join(sorted(name for _, name in channels))
-            told = (
+            indices = (
                 f"channel {name!r} is shot {shot} of {position!r}, or of {others[0][0]!r}"
                 if others
                 else f"channels {twin!r} and {name!r} are both shot {number} of {position!r}"
             )
             raise ConfigurationError(
-                f"{file}, group {group!r}: {told}; its channels are: {names}; say which it is by "
+                f"{file}, group {group!r}: {indices}; its channels are: {names}; say which it is by "
                 "channel_pattern with (?P<position>...) and (?P<shot>...), or by rename"
             )
         found[group, name] = {"position": position, "shot": shot}
     return found
 
 
-def _fits(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
-    """Give each position and shot that a channel's name may mean: its own first."""
+def _possible_shots(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
+    """Return each position and shot that a channel's name may mean, the exact one first."""
     if name in positions:
         return [(name, None)]
     matches = ((one, re.fullmatch(re.escape(one) + _NUMBER, name, re.IGNORECASE)) for one in positions)

@@ -1,4 +1,4 @@
-"""One channel of a LabVIEW file: its sample rate, trigger, scaling and time, from properties or the mapping.
+"""Channel of a LabVIEW file: its sample rate, trigger, scaling and time, from properties or the mapping.
 
 Everything is decided from metadata, before a sample is read: a file that cannot be played back is refused
 when the recording is opened, with file, group, channel and remedy.
@@ -35,7 +35,7 @@ _TDMS_EPOCH_S = -2_082_844_800
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Channel:
-    """What npTDMS tells of a channel, without npTDMS.
+    """Metadata of a channel, independent of npTDMS.
 
     Attributes
     ----------
@@ -56,20 +56,20 @@ class Channel:
 
     @property
     def where(self) -> str:
-        """File, group and channel, for messages."""
+        """Return file, group and channel, for messages."""
         return f"{self.path}, group {self.group!r}, channel {self.name!r}"
 
     @property
     def properties(self) -> Mapping[str, Any]:
-        """Those of the channel, over those of its group, over those of its file."""
+        """Return the properties of the channel, over those of its group, over those of its file."""
         return {**self.file_properties, **self.group_properties, **self.own_properties}
 
     def refuse(self, problem: str, remedy: str) -> ConfigurationError:
-        """Error that names the channel."""
+        """Return an error that names the channel."""
         return ConfigurationError(f"{self.where}: {problem}; {remedy}")
 
     def number(self, name: str) -> float | None:
-        """Property as a finite number, None if absent."""
+        """Return a property as a finite number, None if absent."""
         value = self.properties.get(name)
         if value is None:
             return None
@@ -84,7 +84,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conversion:
-    """From values in the file to counts.
+    """Conversion of values in the file to counts.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Conversion:
     polynomial: NDArray[np.float64] | None = None
 
     def counts(self, values: NDArray[Any], where: str) -> Counts:
-        """Make counts of a record, shape (n_samples,).
+        """Convert the values of a record to counts, shape (n_samples,).
 
         Raises
         ------
@@ -112,7 +112,7 @@ class Conversion:
 def _quantised(
     values: NDArray[Any], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
-    """Nearest code of each value; the range itself is the highest code, so that it counts as clipped."""
+    """Return the nearest code of each value; the end of the range is the highest code, so it is clipped."""
     volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
     largest_v = float(np.max(np.abs(volts), initial=0.0))
     if not math.isfinite(largest_v):
@@ -128,7 +128,7 @@ def _quantised(
 
 
 def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
-    """How the channel's values become counts and volts.
+    """Return the conversion of the channel's values to counts and volts.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def _resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
 
 
 def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
-    """Volts at the extreme codes, whichever is larger."""
+    """Return the volts at the extreme codes, the larger of both."""
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
     if not (math.isfinite(range_v) and range_v > 0.0):
@@ -189,7 +189,7 @@ def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -
 def _volts_polynomial(
     channel: Channel, mapping: TdmsMapping, *, default: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Volts as a polynomial of the values in the file; ``default`` where the file has no scales."""
+    """Return volts as a polynomial of the values in the file; ``default`` where the file has no scales."""
     if mapping.coefficients_v:
         return np.array(mapping.coefficients_v)
     scaling = _scaling_of(channel)
@@ -206,8 +206,8 @@ def _volts_polynomial(
     if unit.casefold() in _VOLT:
         return scaling
     if mapping.volts_per_unit is None:
-        said = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
-        raise channel.refuse(f"{said}, V is needed", "give volts_per_unit")
+        unit_text = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
+        raise channel.refuse(f"{unit_text}, V is needed", "give volts_per_unit")
     return scaling * mapping.volts_per_unit
 
 
@@ -223,7 +223,7 @@ def _scaling_of(channel: Channel) -> NDArray[np.float64] | None:
 
 
 def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
-    """Sample rate from the mapping or the increment.
+    """Return the sample rate from the mapping or the increment.
 
     Raises
     ------
@@ -283,7 +283,7 @@ def pretrigger_samples(
 
 
 def start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
-    """UTC of the channel's first record, None if the file does not tell."""
+    """Return UTC of the channel's first record, None if the file has none."""
     stamp = channel.properties.get(mapping.start_time_property)
     if stamp is None:
         return None

@@ -1,4 +1,4 @@
-"""The only door to npTDMS: what a file's channels are, and their values as they lie in it."""
+"""The only module that imports npTDMS: a file's channels, and their raw values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def require_nptdms() -> None:
-    """Say what to install if npTDMS is missing."""
+    """Raise with an installation hint if npTDMS is missing."""
     try:
         import nptdms  # noqa: F401
     except ImportError as error:
@@ -32,7 +32,7 @@ def require_nptdms() -> None:
 
 
 def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channel]:
-    """Metadata of the channels whose group and name are wanted, without the empty ones.
+    """Return metadata of the channels whose group and name are wanted, without the empty ones.
 
     Raises
     ------
@@ -45,22 +45,22 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
         for group in file.groups():
             for channel in group.channels():
                 if wanted(group.name, channel.name):
-                    _refuse_cut_short(path, channel, statuses)
+                    _require_complete_values(path, channel, statuses)
                     if len(channel):
-                        found.append(_described(path, file, group, channel))
-        _refuse_loose_end(path)
+                        found.append(_describe(path, file, group, channel))
+        _require_complete_end(path)
     return found
 
 
 class ValuesReader:
-    """Reads values; keeps the file that was asked for last open."""
+    """Reader of values; keeps the last file open."""
 
     def __init__(self) -> None:
         self._open: tuple[Path, Any] | None = None
         self._closing = ExitStack()
 
     def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[Any]:
-        """Values of a channel as they lie in the file; fewer than wanted if it was changed meanwhile.
+        """Return raw values of a channel; fewer than wanted if the file was changed meanwhile.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class ValuesReader:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """Open a file by ourselves: npTDMS would leave a damaged one open, and trust an index file beside it."""
+    """Open a file directly: npTDMS would leave a corrupt one open, and trust an index file next to it."""
     import nptdms
 
     with path.open("rb") as file:
@@ -89,7 +89,7 @@ def _opened(path: Path) -> Iterator[Any]:
         yield nptdms.TdmsFile.open(file, raw_timestamps=True)
 
 
-def _described(path: Path, file: Any, group: Any, channel: Any) -> Channel:
+def _describe(path: Path, file: Any, group: Any, channel: Any) -> Channel:
     return Channel(
         path=path,
         group=group.name,
@@ -104,7 +104,7 @@ def _described(path: Path, file: Any, group: Any, channel: Any) -> Channel:
 
 
 def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
-    """Values as they lie in the file: npTDMS scales none."""
+    """Return raw values: npTDMS scales none."""
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
         if len(values) != 1:
@@ -115,8 +115,8 @@ def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
     return np.asarray(values)
 
 
-def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
-    """NpTDMS fills what is missing with zeros or leaves it out, and only its status tells."""
+def _require_complete_values(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
+    """Reject missing values, which npTDMS fills with zeros or omits; only its status shows them."""
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:
         raise ConfigurationError(
@@ -125,8 +125,10 @@ def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> 
         )
 
 
-def _refuse_loose_end(path: Path) -> None:
-    """NpTDMS takes a last segment whose metadata are cut for the end of the file: shots would vanish.
+def _require_complete_end(path: Path) -> None:
+    """Reject a last segment with cut metadata, which npTDMS takes for the end of the file.
+
+    Shots would vanish.
 
     A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and
     length of its metadata (NI: "TDMS file format internal structure").
@@ -149,7 +151,7 @@ def _refuse_loose_end(path: Path) -> None:
 
 @contextmanager
 def _translated(path: Path) -> Iterator[None]:
-    """Turn whatever npTDMS raises on a damaged file into our error."""
+    """Translate any error of npTDMS on a corrupt file."""
     try:
         yield
     except ConfigurationError:

@@ -1,4 +1,4 @@
-"""Which shot a record of a LabVIEW file is."""
+"""Key of the shot of each record in a LabVIEW file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hardware_drivers.playback.tdms_channel import Channel
 
 
 def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
-    """Shot of a channel's first record.
+    """Return the shot of a channel's first record.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     ConfigurationError
         No position; a property is missing; a number is none, or below the first.
     """
-    told: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
+    values: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
     for part in ("position", "set", "shot"):
         property_name = getattr(mapping, f"{part}_property")
         if property_name:
@@ -32,12 +32,12 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
                     f"the property {property_name!r} that tells the {part} is missing",
                     f"correct {part}_property, or leave the channel out of the patterns",
                 )
-            told[part] = channel.properties[property_name]
-    position = str(told["position"] if told["position"] is not None else mapping.position)
+            values[part] = channel.properties[property_name]
+    position = str(values["position"] if values["position"] is not None else mapping.position)
     if not position:
         raise channel.refuse("nothing names the position", "correct the patterns")
     firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
-    indices = {part: _index(channel, part, told[part], first) for part, first in firsts.items()}
+    indices = {part: _index(channel, part, values[part], first) for part, first in firsts.items()}
     return ShotKey(
         position=mapping.rename.get(position, position),
         set_index=indices["set"],
@@ -46,26 +46,26 @@ def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMap
     )
 
 
-def _index(channel: Channel, part: str, told: Any, first: int) -> int:
-    """Index from 0; what is not told is 0."""
-    if told is None:
+def _index(channel: Channel, part: str, values: Any, first: int) -> int:
+    """Return an index from 0; a missing one is 0."""
+    if values is None:
         return 0
     try:
-        number = int(told)
+        number = int(values)
     except (TypeError, ValueError) as error:
         raise channel.refuse(
-            f"the {part} is called {told!r}, which is no whole number", f"correct what names the {part}"
+            f"the {part} is called {values!r}, which is no whole number", f"correct what names the {part}"
         ) from error
-    if number < first or number != float(told):
+    if number < first or number != float(values):
         raise channel.refuse(
-            f"the {part} has the number {told}; whole numbers count from {first}",
+            f"the {part} has the number {values}; whole numbers count from {first}",
             f"correct first_{part}" if part != "attempt" else "correct the pattern",
         )
     return number - first
 
 
 def samples_of_record(channel: Channel, mapping: TdmsMapping) -> int:
-    """Length of each record of a channel.
+    """Return the length of each record of a channel.
 
     Raises
     ------

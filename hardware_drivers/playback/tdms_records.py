@@ -1,4 +1,4 @@
-"""Every record of a LabVIEW file as it lies there, whatever its groups and channels are called."""
+"""Raw records of a LabVIEW file, independent of the names of its groups and channels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hardware_drivers.playback.tdms_key import samples_of_record
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChannelRecords:
-    """Records of one channel, one after the other as a loop of writes leaves them.
+    """Records of one channel, consecutive as a loop of writes leaves them.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class ChannelRecords:
     conversion: Conversion
 
     def values(self) -> Iterator[NDArray[Any]]:
-        """Give each record's values as they lie in the file, shape (samples,)."""
+        """Return each record's raw values, shape (samples,)."""
         reader = ValuesReader()
         try:
             for number in range(self.n):
@@ -52,7 +52,7 @@ class ChannelRecords:
             reader.close()
 
     def volts(self, values: NDArray[Any]) -> NDArray[np.float64]:
-        """Turn values as they lie in the file into volts."""
+        """Convert raw values into volts."""
         if self.conversion.polynomial is None:
             return self.conversion.calibration.volts(values)
         return np.asarray(
@@ -65,16 +65,16 @@ def channel_records(
     mapping: TdmsMapping,
     *,
     pretrigger_s: float | None,
-    rails_told: bool,
+    rails_marked: bool,
     unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
-    """Find the channels of numbers.
+    """Return the channels with numbers.
 
     Parameters
     ----------
     pretrigger_s
         Whatever the file says; None: as it says.
-    rails_told
+    rails_marked
         Somebody else sees clipping: 32-bit codes need not tell their resolution.
     unitless_are_volts
         Scaled values are volts where the file does not tell their unit.
@@ -90,7 +90,7 @@ def channel_records(
         if channel.dtype.kind not in "fiu":
             continue
         own = mapping
-        if rails_told and channel.dtype == np.int32:
+        if rails_marked and channel.dtype == np.int32:
             own = replace(own, resolution_bits=32)
         unit = str(channel.properties.get(mapping.unit_property, "")).strip()
         if unitless_are_volts and channel.dtype.kind == "f" and not unit:

@@ -1,4 +1,4 @@
-"""Instruments that speak text: the electrochemical power supply and the climate probe.
+"""Instruments with a text protocol: the electrochemical power supply and the climate probe.
 
 They stand at the end of one `line`, whatever carries it (`port`: a serial port, a TCP socket, a VISA
 resource); what a supply is told comes from a table (`dialects`). `parameters` and `dialects` are light;

@@ -1,4 +1,4 @@
-"""Thermometer and hygrometer on a line of text, for probes that answer one question with one number."""
+"""Thermometer and hygrometer with a text protocol: one number in response to one query."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ HUMIDITY_RANGE = (0.0, 1.05)
 
 
 class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
-    """A `ClimateProbe` of the instrument Protocols."""
+    """Climate probe with a text protocol; a `ClimateProbe` of the instrument Protocols."""
 
     def read(self, timeout_s: float) -> ClimateReading:
-        """Temperature and relative humidity now.
+        """Measure temperature and relative humidity.
 
         Raises
         ------
@@ -38,12 +38,12 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
         humidity = self._line.query_number(parameters.humidity_query, deadline_s, units=percent)
         if parameters.humidity_unit == "percent":
             humidity /= 100.0
-        for what, value, (low, high) in (
+        for name, value, (low, high) in (
             ("a temperature in degrees Celsius", temperature_c, TEMPERATURE_RANGE_C),
             (f"a relative humidity (told in {parameters.humidity_unit})", humidity, HUMIDITY_RANGE),
         ):
             if not low <= value <= high:
                 raise self._line.refused(
-                    f"tells {value:g} as {what}; it must lie in {low:g}..{high:g}: check its sensor and unit"
+                    f"tells {value:g} as {name}; it must lie in {low:g}..{high:g}: check its sensor and unit"
                 )
         return ClimateReading(stamp=stamp, temperature_c=temperature_c, relative_humidity=min(humidity, 1.0))

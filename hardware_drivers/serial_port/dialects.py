@@ -1,4 +1,4 @@
-"""What power supplies are asked and told, one table a dialect.
+"""Commands and queries of power supplies, one table per dialect.
 
 Units, headers and echoes in an answer are the line's concern, so a table holds only what differs. None
 has been proven on a real instrument: each is written from the manual that it names, and tested against a
@@ -16,7 +16,7 @@ NAME_BY_COMMAS = r"(?P<maker>[^,]*)(,(?P<model>[^,]*)(,(?P<serial_number>[^,]*)(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
-    """A question whose answer is a number.
+    """Query whose response is a number.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flag:
-    """A question whose answer is yes or no.
+    """Query whose response is yes or no.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Flag:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """Something to be set and read back; what has to be switched on beside it is read back too."""
+    """Setting that is set and read back; a switch that enables it is read back too."""
 
     command: str
     digits: str
@@ -109,8 +109,8 @@ def _scpi(channel: int) -> Dialect:
             f"INST:NSEL {channel} as one of setup_commands"
         )
 
-    def level(word: str, unit: str) -> Level:
-        return Level(command=f"{word} ", digits=".6g", read=Number(ask=f"{word}?", unit=unit))
+    def level(mnemonic: str, unit: str) -> Level:
+        return Level(command=f"{mnemonic} ", digits=".6g", read=Number(ask=f"{mnemonic}?", unit=unit))
 
     return Dialect(
         source="SCPI-1999, volume 2, subsystems SOURce, OUTPut, MEASure and SYSTem",
@@ -184,13 +184,13 @@ def _korad(channel: int) -> Dialect:
 def _rigol(channel: int) -> Dialect:
     n, ch = channel, f"CH{channel}"
 
-    def protection(word: str, unit: str) -> Level:
+    def protection(mnemonic: str, unit: str) -> Level:
         return Level(
-            command=f":OUTP:{word}:VAL {ch},",
+            command=f":OUTP:{mnemonic}:VAL {ch},",
             digits=".3f",
-            read=Number(ask=f":OUTP:{word}:VAL? {ch}", unit=unit),
-            enable=f":OUTP:{word} {ch},ON",
-            enabled=Flag(ask=f":OUTP:{word}? {ch}"),
+            read=Number(ask=f":OUTP:{mnemonic}:VAL? {ch}", unit=unit),
+            enable=f":OUTP:{mnemonic} {ch},ON",
+            enabled=Flag(ask=f":OUTP:{mnemonic}? {ch}"),
         )
 
     return Dialect(

@@ -1,4 +1,4 @@
-"""What instruments on a line share: the line, the name they tell, deadlines."""
+"""Base of instruments with a text protocol: the line, the reported name, deadlines."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Parameters = TypeVar("Parameters", bound=SupplyParameters | ClimateParameters)
 
 
 class SerialInstrument(Generic[Parameters]):
-    """An instrument that tells its name and answers questions.
+    """Instrument that reports its name and responds to queries.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class SerialInstrument(Generic[Parameters]):
         )
 
     def identity(self) -> Mapping[str, str]:
-        """Maker, model, serial number and firmware, as the instrument tells them, and its port.
+        """Return maker, model, serial number and firmware, as the instrument reports them, and its port.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class SerialInstrument(Generic[Parameters]):
         return NAME_BY_COMMAS
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._line.close()
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Supply and climate probe that speak text, as kinds of instruments."""
+"""Supply and climate probe with a text protocol, as kinds of instruments."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, finding_of_error
 from hardware_drivers.serial_port.parameters import (
     CLIMATE_REACHED_BY,
     SUPPLY_REACHED_BY,
@@ -43,34 +43,34 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
         yield Opened(climate=probe)
 
 
-def _identified(subject: str, identity: Mapping[str, str]) -> Finding:
-    told = ", ".join(identity.values())
-    return Finding(subject=subject, check="identity", state="ok", detail=told, values=dict(identity))
+def _identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
+    detail = ", ".join(identity.values())
+    return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 
 
 def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the supply who it is, what is set, and what it gives."""
+    """Check the supply: identity, settings, protections and output."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     subject, check = "supply", "identity"
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
         try:
-            yield _identified(subject, supply.identity())
+            yield _identity_finding(subject, supply.identity())
             check = "read-back"
-            told = supply.read_back(parameters.read_timeout_s)
-            tripped, unknown = str(told["tripped"]), str(told["protection_unknown"])
+            actual = supply.read_back(parameters.read_timeout_s)
+            tripped, unknown = str(actual["tripped"]), str(actual["protection_unknown"])
             yield Finding(
                 subject=subject,
                 check=check,
                 state="fail" if tripped else "warn" if unknown else "ok",
-                detail=f"set to {told['set_voltage_v']:g} V, limit {told['set_current_limit_a']:g} A, output "
-                f"{told['output']}"
+                detail=f"set to {actual['set_voltage_v']:g} V, limit {actual['set_current_limit_a']:g} A, "
+                f"output {actual['output']}"
                 + (f"; protection tripped: {tripped}" if tripped else "")
                 + (f"; {unknown}" if unknown else ""),
                 remedy="find the cause, then clear the protection at the instrument"
                 if tripped
                 else "look at the instrument's own display after it has gone off by itself",
-                values=dict(told),
+                values=dict(actual),
             )
             check = "output"
             reading = supply.read(parameters.read_timeout_s)
@@ -85,17 +85,17 @@ def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Fin
                 values={name: getattr(reading, name) for name in ("output_on", "voltage_v", "current_a")},
             )
         except InstrumentError as error:
-            yield failed(subject, check, error, CABLE)
+            yield finding_of_error(subject, check, error, CABLE)
 
 
 def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the climate probe who it is, and for one reading."""
+    """Check the climate probe: identity and one reading."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     subject, check = "climate probe", "identity"
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
         try:
-            yield _identified(subject, probe.identity())
+            yield _identity_finding(subject, probe.identity())
             check = "reading"
             reading = probe.read(parameters.read_timeout_s)
             yield Finding(
@@ -106,7 +106,7 @@ def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[F
                 values={name: getattr(reading, name) for name in ("temperature_c", "relative_humidity")},
             )
         except InstrumentError as error:
-            yield failed(subject, check, error, CABLE)
+            yield finding_of_error(subject, check, error, CABLE)
 
 
 SUPPLY = Kind(

@@ -1,4 +1,4 @@
-"""One instrument on one line, serial, TCP or VISA: questions and answers as text, each bounded in time.
+"""Line to one instrument, serial, TCP or VISA: queries and responses as text, each bounded in time.
 
 A line is in step with its instrument or it is not. Whatever goes wrong (silence, garbage, an unplugged
 cable) takes it out of step, and what an instrument answers too late would then answer the next question:
@@ -54,7 +54,7 @@ _PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6}
 
 
 class SerialLine:
-    """Speaks with the instrument whose name is expected; opened by the first call that needs it.
+    """Line to the instrument with the expected name; opened by the first call that needs it.
 
     Parameters
     ----------
@@ -90,18 +90,18 @@ class SerialLine:
 
     @property
     def connected(self) -> bool:
-        """True while the port is open and every answer was right since the expected name was told."""
+        """Return True while the port is open and every response since the expected name was right."""
         return self._in_step
 
     @property
     def name(self) -> str:
-        """What the instrument last answered when asked who it is."""
+        """Return the instrument's last response to the identity query."""
         return self._name
 
     # Opening -------------------------------------------------------------------------------------
 
     def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
-        """Open the port and ask who is there, unless the line is in step already.
+        """Open the port and query the identity, unless the line is in step already.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class SerialLine:
         return self._identify(deadline_s)
 
     def _identify(self, deadline_s: float) -> str:
-        """Ask who is there; what comes before the expected name is a late reply and thrown away."""
+        """Query the identity; text before the expected name is a late response and discarded."""
         deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
         self._echoes = False
         self._write(self._identity_query)
@@ -183,20 +183,20 @@ class SerialLine:
                 strangers.append(reply)
                 if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
                     break
-        asked = f"the instrument at {self.parameters.port}"
+        subject = f"the instrument at {self.parameters.port}"
         if strangers:
             raise ConfigurationError(
-                f"{asked} answers as {strangers[-1]!r}; expected a name that begins with "
+                f"{subject} answers as {strangers[-1]!r}; expected a name that begins with "
                 f"{self._identity.pattern!r}: connect the right instrument, or correct its identity"
             )
         garbage += [bytes(pending)] if pending else []
         if garbage:
             raise ConnectionLostError(
-                f"{asked} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
+                f"{subject} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
                 "rate, parity and terminator"
             )
         raise ConnectionLostError(
-            f"{asked} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
+            f"{subject} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
             "check that it is on, its cable and its baud rate"
         )
 
@@ -214,7 +214,7 @@ class SerialLine:
     # Talking -------------------------------------------------------------------------------------
 
     def send(self, command: str) -> None:
-        """Send a command that is not answered.
+        """Send a command without a response.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class SerialLine:
             self._next_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
-        """Send a question and return its answer without its terminator.
+        """Send a query and return its response without its terminator.
 
         Raises
         ------
@@ -276,7 +276,7 @@ class SerialLine:
         header: str = "",
         stray: str = "",
     ) -> float:
-        """Send a question whose answer is a finite number.
+        """Send a query whose response is a finite number.
 
         Parameters
         ----------
@@ -314,7 +314,7 @@ class SerialLine:
         )
 
     def query_flag(self, question: str, deadline_s: float, *, mask: int = 0, raw: bool = False) -> bool:
-        """Send a question whose answer is yes or no.
+        """Send a query whose response is yes or no.
 
         Parameters
         ----------
@@ -335,17 +335,17 @@ class SerialLine:
                 raise self._lost(f"answered {_shown(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
-        said = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
-        if mask and said.isdecimal():
-            return bool(int(said) & mask)
-        if not mask and said in {"1", "+1", "ON", "YES"}:
+        state_text = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
+        if mask and state_text.isdecimal():
+            return bool(int(state_text) & mask)
+        if not mask and state_text in {"1", "+1", "ON", "YES"}:
             return True
-        if not mask and said in {"0", "+0", "OFF", "NO"}:
+        if not mask and state_text in {"0", "+0", "OFF", "NO"}:
             return False
         raise self._lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
     def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
-        """Take one entry off the instrument's errors; None when there is none.
+        """Return one entry of the instrument's error queue; None when there is none.
 
         Parameters
         ----------
@@ -393,8 +393,8 @@ class SerialLine:
                 # A timeout of pyserial is a short read, here an empty one.
                 read = port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
             if not read and pending and not terminator:  # silence ends it
-                whole, pending[:] = bytes(pending), b""
-                return whole
+                unterminated, pending[:] = bytes(pending), b""
+                return unterminated
             if not read and self.monotonic_s() >= deadline_s:
                 return None
             pending += read
@@ -410,7 +410,7 @@ class SerialLine:
             raise self._lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
     def refused(self, message: str) -> ConnectionLostError:
-        """Take the line out of step for an answer that cannot be right; the caller raises the result."""
+        """Mark the line as out of step after an impossible response; return the error to raise."""
         return self._lost(message)
 
     def _lost(self, message: str) -> ConnectionLostError:
@@ -422,7 +422,7 @@ class SerialLine:
 
 
 def _text(raw: bytes | bytearray) -> str | None:
-    """Printable ASCII of a reply, or None; spaces around it and a stray carriage return do not count."""
+    """Return the printable ASCII of a response, or None, without outer spaces and a stray carriage return."""
     stripped = raw.strip(b" \t\r\n")
     if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):
         return None
@@ -430,7 +430,7 @@ def _text(raw: bytes | bytearray) -> str | None:
 
 
 def _is_name(reply: str) -> bool:
-    """Tell another instrument's name from a late number or error of the right one."""
+    """Distinguish another instrument's name from a late number or error of the right one."""
     if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
         return False
     try:

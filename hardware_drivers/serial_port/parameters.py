@@ -1,4 +1,4 @@
-"""Parameters of the instruments that speak text: each with its unit, its bounds and what it means."""
+"""Parameters of the instruments with a text protocol: each with its unit, its bounds and its meaning."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ORDER_REPLIES = 12
 
 @bounded
 class SerialLineParameters:
-    """One line of text: where it is and how it speaks."""
+    """Text line: its address and its protocol."""
 
     port: str
     """A path (`/dev/serial/by-id/...`, which survives replugging), a name (`COM4`), or `serial:` and the
@@ -65,7 +65,7 @@ class SerialLineParameters:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port of a `tcp:` line."""
+        """Return host and port of a `tcp:` line."""
         found = _TCP_ADDRESS.fullmatch(self.port.removeprefix(TCP_PREFIX))
         if found is None or not 0 < int(found[2]) < 65_536:
             raise ValueError(
@@ -94,7 +94,7 @@ class SerialLineParameters:
 
 @bounded
 class SupplyParameters(DriveParameters):
-    """The electrochemical drive: a DC supply between specimen (plus) and copper electrode (minus)."""
+    """Corrosion supply: a DC supply between specimen (plus) and copper electrode (minus)."""
 
     line: SerialLineParameters
     """Its line."""
@@ -122,7 +122,7 @@ class SupplyParameters(DriveParameters):
 
     @property
     def longest_order_s(self) -> float:
-        """Longest time that an order takes, and switching off again where it fails."""
+        """Return the longest time of a command, and of switching off again where it fails."""
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
@@ -154,7 +154,7 @@ class SupplyParameters(DriveParameters):
 
 @bounded
 class ClimateParameters(LogParameters):
-    """Thermometer and hygrometer beside the specimen."""
+    """Thermometer and hygrometer next to the specimen."""
 
     line: SerialLineParameters
     """Its line."""
@@ -176,7 +176,7 @@ class ClimateParameters(LogParameters):
 
 
 def check_identity(pattern: str) -> None:
-    """Refuse an identity that is no regular expression or that anything would match."""
+    """Reject an identity that is no regular expression or that matches anything."""
     try:
         matches_anything = re.match(pattern, "") is not None
     except re.error as error:
@@ -186,6 +186,6 @@ def check_identity(pattern: str) -> None:
 
 
 def check_query(name: str, query: str) -> None:
-    """Refuse what cannot be sent as one question."""
+    """Reject a text that is not one query."""
     if not (query.isascii() and query.isprintable() and query.strip()) or ";" in query:
         raise ValueError(f"{name} is {query!r}; give one command of printable ASCII characters")

@@ -1,4 +1,4 @@
-"""Ways to an instrument: serial ports, TCP sockets and VISA resources behind the calls of pyserial.
+"""Ports of an instrument: serial ports, TCP sockets and VISA resources behind the calls of pyserial.
 
 A serial port is found by its path or by its adapter's USB serial number and opened for one owner; its errors
 are explained.
@@ -42,36 +42,36 @@ _NO_PORT = {errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ELOOP}
 
 
 class Port(Protocol):
-    """What a line needs, as `serial.Serial` has it; whatever goes wrong is one of `PORT_ERRORS`."""
+    """Port as needed by a line, as in `serial.Serial`; all its errors are among `PORT_ERRORS`."""
 
     @property
     def in_waiting(self) -> int:
-        """So many bytes can be read at once; more than there are, where that is not known."""
+        """Return how many bytes can be read at once; an upper bound where that is unknown."""
         ...
 
     def read(self, size: int, /) -> bytes:
-        """Wait up to `POLL_S` for something, and return it: up to ``size`` bytes, or nothing."""
+        """Wait up to `POLL_S` for data, and return up to ``size`` bytes, or none."""
         ...
 
     def write(self, data: bytes, /) -> int | None:
-        """Send all of it."""
+        """Write all of the data."""
         ...
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has come."""
+        """Discard the received data."""
         ...
 
     def reset_output_buffer(self) -> None:
-        """Throw away what has not been taken."""
+        """Discard the data that was not sent."""
         ...
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the port."""
         ...
 
 
 class TcpPort:
-    """The socket of an instrument on the network. TCP keeps no other program from it."""
+    """Socket of an instrument on the network. TCP does not exclude other programs."""
 
     in_waiting = 65_536
     """A socket gives what there is."""
@@ -82,7 +82,7 @@ class TcpPort:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self, size: int) -> bytes:
-        """Return what comes within `POLL_S`; the instrument's hanging up is an error."""
+        """Return the data received within `POLL_S`; a closed connection is an error."""
         self._socket.settimeout(POLL_S)
         try:
             return self._received(size)
@@ -90,32 +90,32 @@ class TcpPort:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Write all of the data."""
         self._socket.settimeout(self._timeout_s)
         self._socket.sendall(data)
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has come."""
+        """Discard the received data."""
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
                 self._received(self.in_waiting)
 
     def reset_output_buffer(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no data waits here."""
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
     def _received(self, size: int) -> bytes:
-        if not (said := self._socket.recv(size)):
+        if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
-        return said
+        return data
 
 
 def open_port(parameters: SerialLineParameters) -> Port:
-    """Open the way that the parameters name.
+    """Open the port that the parameters name.
 
     Raises
     ------
@@ -174,20 +174,20 @@ def _open_serial(parameters: SerialLineParameters) -> Port:
             f"{path} cannot be opened as configured: {error}; correct the line's parameters"
         ) from error
     except PORT_ERRORS as error:
-        raise _explained(path, error) from error
+        raise _explain(path, error) from error
 
 
-def ports_there() -> dict[str, str]:
-    """Find the serial ports of this computer: how to call each for good, and what it is, in words."""
-    there = {}
+def serial_ports() -> dict[str, str]:
+    """Return the serial ports of this computer: a permanent name and a description of each."""
+    ports = {}
     for info in sorted(list_ports.comports()):
         name = f"{USB_SERIAL_PREFIX}{info.serial_number}" if info.serial_number else info.device
-        there[name] = f"{info.device}: {info.description}"
-    return there
+        ports[name] = f"{info.device}: {info.description}"
+    return ports
 
 
 def _path_of(port: str) -> str:
-    """Path of a port; one named by its adapter's serial number is looked for every time."""
+    """Return the path of a port; a port named by its adapter's serial number is searched every time."""
     if not port.startswith(USB_SERIAL_PREFIX):
         return port
     wanted = port.removeprefix(USB_SERIAL_PREFIX)
@@ -198,15 +198,15 @@ def _path_of(port: str) -> str:
             f"{len(paths)} ports have the USB serial number {wanted}: {', '.join(paths)}; give a path instead"
         )
     if not paths:
-        there = ", ".join(f"{info.device} ({info.serial_number})" for info in found if info.serial_number)
+        ports = ", ".join(f"{info.device} ({info.serial_number})" for info in found if info.serial_number)
         raise ConnectionLostError(
-            f"no serial port has the USB serial number {wanted}; found: {there or 'none'}; check the plug"
+            f"no serial port has the USB serial number {wanted}; found: {ports or 'none'}; check the plug"
         )
     return str(paths[0])
 
 
-def _explained(path: str, error: Exception) -> InstrumentError:
-    """Say why a port could not be opened; what may pass by itself is no configuration error."""
+def _explain(path: str, error: Exception) -> InstrumentError:
+    """Return the reason why a port could not be opened; a temporary one is no configuration error."""
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:
         code = error.__context__.args[0]  # pyserial raises again without the number
@@ -223,14 +223,14 @@ def _explained(path: str, error: Exception) -> InstrumentError:
         return ConfigurationError(
             f"{path} is no serial port, or not one for these parameters ({reason}); correct them"
         )
-    there = ", ".join(info.device for info in list_ports.comports())
+    ports = ", ".join(info.device for info in list_ports.comports())
     return ConnectionLostError(
-        f"{path} cannot be opened ({reason}); ports there: {there or 'none'}; check plug and port"
+        f"{path} cannot be opened ({reason}); ports there: {ports or 'none'}; check plug and port"
     )
 
 
 def _owners(path: str) -> str:
-    """Programs that have the port open, as far as this system tells."""
+    """Return the programs that have the port open, if this system reports them."""
     owners = []
     device = os.path.realpath(path)
     for process in Path("/proc").glob("[0-9]*"):

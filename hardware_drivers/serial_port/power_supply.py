@@ -1,4 +1,4 @@
-"""The electrochemical drive: a DC supply that speaks one of the `dialects`.
+"""Corrosion supply: a DC supply that uses one of the `dialects`.
 
 Only `energise` switches the output on, and only a person's order calls it. A link that was lost is
 opened again by the next call, which checks the name and reads the state: nothing is set, nothing
@@ -26,26 +26,26 @@ UNDEFINED_HEADER = -113
 
 
 class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
-    """A `PowerSupply` of the instrument Protocols."""
+    """Power supply with a text protocol; a `PowerSupply` of the instrument Protocols."""
 
     _tripped: tuple[str, ...] = ()
     _undefined: frozenset[str] = frozenset()
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
-        """Protections found tripped when the output was last found off, by the question asked."""
+        """Return the protections that were tripped when the output was last found off, by query."""
         return self._tripped
 
     @property
     def protection_unknown(self) -> str:
-        """Why a protection could trip without being told; empty where the supply tells."""
-        if not (asked := self._protections()):
+        """Return the reason why a trip may stay unreported; empty where the supply reports trips."""
+        if not (protections := self._protections()):
             return f"dialect {self._parameters.dialect} asks no protection whether it has tripped"
-        unknown = ", ".join(flag.ask for flag in asked if flag.ask in self._undefined)
+        unknown = ", ".join(flag.ask for flag in protections if flag.ask in self._undefined)
         return f"the supply does not know {unknown}" if unknown else ""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage and current and ask whether the output is on.
+        """Measure voltage and current and query the output state.
 
         The stamp is that of the current, which is what is integrated.
 
@@ -63,7 +63,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._measure(deadline_s)
 
     def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        """Tell what is set: voltage, current limit, output and tripped protections; changes nothing.
+        """Query the settings: voltage, current limit, output and tripped protections; changes nothing.
 
         Raises
         ------
@@ -82,7 +82,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         }
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
-        """Switch off, set, read back, then switch on and measure; on any doubt the output is off again.
+        """Switch off, set, read back, then switch on and measure; on any doubt switch off.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
     def _set_up(self, deadline_s: float, *, at_once: bool) -> list[str]:
-        """Connect; what the supply then complains of."""
+        """Connect, then raise for errors that the supply reports."""
         if not self._line.connect(deadline_s, at_once=at_once) or not self._parameters.setup_commands:
             return []
         for command in self._parameters.setup_commands:
@@ -189,7 +189,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             raise self._line.refused("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Limit first, so that a voltage never stands with another order's limit."""
+        """Set the limit first, so that a voltage never meets the limit of an earlier command."""
         parameters, dialect = self._parameters, self._dialect
         if parameters.over_voltage_v is not None:
             # Some supplies refuse a protection below the voltage that was set, or a voltage above the
@@ -211,10 +211,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             if command:
                 self._line.send(command)
                 self._require_no_error(f"take {command}", deadline_s)
-        told = self._number(level.read, deadline_s)
-        if abs(told - value) > tolerance:
+        actual = self._number(level.read, deadline_s)
+        if abs(actual - value) > tolerance:
             raise ConfigurationError(
-                f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
+                f"{self._line.name} was set to {value:g} {unit} and reads back {actual:g} {unit}: more "
                 f"than {tolerance:g} {unit} off; check its range and its lock"
             )
         if level.enabled is not None and not self._flag(level.enabled, deadline_s):
@@ -223,7 +223,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _require_sound(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
-        """Look at what the output does once it is on; a drop below the voltage is the limit at work."""
+        """Check the output after switching on; a voltage drop in current limit is normal."""
         parameters = self._parameters
         reading = self._measure(deadline_s)
         if not reading.output_on:

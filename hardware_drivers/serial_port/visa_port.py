@@ -23,7 +23,7 @@ except ImportError as error:
 
 
 class VisaPort:
-    """An open resource.
+    """Open VISA resource.
 
     A socket is a stream like a serial line, read in pieces of `POLL_S`. The other kinds send whole messages,
     and a read that is given up costs more there: they are read with the whole of the reply's time, which
@@ -78,17 +78,17 @@ class VisaPort:
             resource.set_visa_attribute(ResourceAttribute.suppress_end_enabled, False)
 
     def read(self, size: int) -> bytes:
-        """Return what comes in the time of one look."""
+        """Return the data received within one poll."""
         return self._read(size, self._wait_ms)
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Write all of the data."""
         with _as_os_error():
             self._resource.timeout = self._write_ms
             self._resource.write_raw(data)
 
     def reset_input_buffer(self) -> None:
-        """Throw away what has come."""
+        """Discard the received data."""
         if self._streams:
             while self._read(self.in_waiting, 0.0):
                 pass
@@ -98,10 +98,10 @@ class VisaPort:
             self._owes_an_answer = False
 
     def reset_output_buffer(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: no data waits here."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Close the resource."""
         with _as_os_error():
             self._resource.close()
 
@@ -119,7 +119,7 @@ class VisaPort:
 
 @contextlib.contextmanager
 def _as_os_error() -> Iterator[None]:
-    """Raise what a line knows: pyvisa's own errors are no OSError."""
+    """Translate pyvisa's errors, which are no OSError, into those that a line handles."""
     try:
         yield
     except pyvisa.Error as error:

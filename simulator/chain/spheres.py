@@ -39,7 +39,7 @@ DAMPING_EXPONENTS = {"linear": 0.0, "tsuji": 0.25, "kuwabara_kono": 0.5, "hunt_c
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chain:
-    """A chain ready to be integrated.
+    """Chain ready for integration.
 
     Attributes
     ----------
@@ -84,25 +84,28 @@ class Chain:
 
     @property
     def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:
-        """``gamma / ((p + 1) d_r^p)``, shape (n_bodies,): times [d]_+^(p + 1) the dashpots' impulse."""
+        """Return ``gamma / ((p + 1) d_r^p)``, shape (n_bodies,).
+
+        Times [d]_+^(p + 1) the dashpots' impulse.
+        """
         p = self.damping_exponent
         scale: float = 1.0 / ((p + 1.0) * self.damping_reference_overlap_m**p)
         return scale * self.damping_n_s_per_m
 
     @property
     def impact_energy_j(self) -> float:
-        """Kinetic energy of the striker at first touch."""
+        """Return the kinetic energy of the striker at first touch."""
         return 0.5 * float(self.mass_kg[0]) * self.impact_speed_m_per_s**2
 
     @property
     def preload_n(self) -> float:
-        """Mean of the two static contact forces at the sensor."""
+        """Return the mean of the two static contact forces at the sensor."""
         return 0.5 * float(self.static_force_n[self.sensor - 1] + self.static_force_n[self.sensor])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """How the contacts of one strike differ from the nominal ones.
+    """Deviations of one strike's contacts from the nominal ones.
 
     Attributes
     ----------
@@ -115,7 +118,7 @@ class Contacts:
 
 
 def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
-    """Dashpot of a face of the sensor disk that stands tilted by `tilt_rad`.
+    """Return the dashpot of a face of the sensor disk that is tilted by `tilt_rad`.
 
     ``gamma_face = gamma (1 + k tilt^2)``. A tilted disk slides on its spheres while they press on it,
     and friction takes energy. The form is our assumption: even in the tilt, nothing at zero. The
@@ -126,7 +129,7 @@ def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
 
 
 def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
-    """Masses, contacts and static equilibrium of a chain that stands on `plate`.
+    """Compute masses, contacts and static equilibrium of a chain on `plate`.
 
     The plate's Young's modulus and Poisson's ratio enter the last contact.
     """
@@ -167,10 +170,10 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     )
 
 
-def struck_again(
+def with_other_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
-    """Return the same bodies under a striker from another height, with another tilt of the sensor.
+    """Return the same bodies with another drop height of the striker and another tilt of the sensor.
 
     On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
 
@@ -211,7 +214,7 @@ def struck_again(
 
 
 def impact_speed_m_per_s(drop_height_m: float) -> float:
-    """Speed of the striker as it touches."""
+    """Return the speed of the striker at first touch."""
     return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
 
 

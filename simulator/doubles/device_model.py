@@ -1,4 +1,4 @@
-"""The brain behind every front: takes calls, keeps the record, obeys faults.
+"""Device model behind every transport: answers calls, keeps the record, applies faults.
 
 A front (the C library's wire, a gRPC server) opens a client, hands in calls by C name with arguments
 by name, and gets values by name or a `Status`.
@@ -37,7 +37,7 @@ from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Reservations
 from simulator.doubles.daqmx.strikes import Strikes
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Clock, Handler, TaskHandler, WallClock
-from simulator.doubles.faults import Faults, lie
+from simulator.doubles.faults import Faults, wrong_answer
 from simulator.doubles.niscope.device_model import NiscopeBrain
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import EntryPoint
@@ -81,7 +81,7 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
 
 
 def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
-    """NI-SCOPE boards for the described probes, looking at the same specimen."""
+    """Return the NI-SCOPE boards of the described probes, connected to the same specimen."""
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
         with bench.changed:
@@ -92,7 +92,7 @@ def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """One call as it is remembered.
+    """Recorded call.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeakedTask:
-    """A task that its client left behind when it died."""
+    """Task that its client left when it died."""
 
     client: str
     task: str
@@ -124,7 +124,7 @@ class LeakedTask:
 
 
 class Brain:
-    """One double.
+    """Device model of one double.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Brain:
     # Clients
 
     def open_client(self, kind: ClientKind, label: str) -> str:
-        """Name a new client; tasks belong to it."""
+        """Register a new client and return its name; tasks belong to it."""
         with self.bench.changed:
             self._client_count += 1
             client = f"{kind}:{label}:{self._client_count}"
@@ -174,7 +174,7 @@ class Brain:
             return client
 
     def close_client(self, client: str) -> None:
-        """Take leave of a client: a library's tasks end with its process, a gRPC server's stay."""
+        """Remove a client: a library's tasks end with its process, a gRPC server's stay."""
         with self.bench.changed:
             kind = self._clients.pop(client, None)
             if kind is None:
@@ -201,14 +201,14 @@ class Brain:
             self._leaked.append(leak)
 
     def is_open(self, client: str) -> bool:
-        """Tell whether a client is still there."""
+        """Return whether a client is still connected."""
         with self.bench.changed:
             return client in self._clients
 
     # Calls
 
     def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out one call and remember it.
+        """Carry out one call and record it.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Brain:
         if fault is not None and fault.kind == "error":
             raise Status(fault.code, "Ordered by a test.")
         if fault is not None and fault.kind == "lie":
-            return lie(entry, arguments, lambda: self._answer(client, entry, arguments))
+            return wrong_answer(entry, arguments, lambda: self._answer(client, entry, arguments))
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
@@ -266,17 +266,17 @@ class Brain:
     # Control
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Say which shot the next strike at the key's position is."""
+        """Set the shot of the next strike at the key's position."""
         with self.bench.changed:
             self.bench.strikes.announce(key, hour_h)
 
     def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
-        """Let the coil at a position couple something else into its sensor."""
+        """Set what the coil at a position couples into its sensor."""
         with self.bench.changed:
             self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
 
     def unplug(self, serial_number: int) -> None:
-        """Take a board out."""
+        """Remove a board."""
         if self.niscope.has(serial_number):
             self.niscope.unplug(serial_number)
             return
@@ -292,7 +292,7 @@ class Brain:
             self.bench.devices.plug(serial_number, name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Let someone else hold ``<board name or serial number>/<part>``, or an NI-SCOPE board by name."""
+        """Reserve ``<board name or serial number>/<part>`` or an NI-SCOPE board for an outside program."""
         if resource in self.niscope.names():
             self.niscope.occupy(resource, owner)
             return
@@ -302,7 +302,7 @@ class Brain:
             self.bench.reservations.occupy(f"{serial_number}/{part}", owner)
 
     def vacate(self, owner: str) -> None:
-        """Someone else gives back everything."""
+        """Release everything of an outside program."""
         self.niscope.vacate(owner)
         with self.bench.changed:
             for holder in set(self.bench.reservations.held.values()):
@@ -315,7 +315,7 @@ class Brain:
             return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker is in flight and no wave rings on; False at the deadline."""
+        """Wait until no striker is falling and no wave continues; False at the deadline."""
         clock = self.bench.clock
         deadline_ns = clock.now_ns() + round(timeout_s * NS_PER_S)
         with self.bench.changed:
@@ -328,7 +328,7 @@ class Brain:
                 clock.wait(self.bench.changed, min(quiet_ns, deadline_ns))
 
     def record(self) -> dict[str, Any]:
-        """Everything the double noticed, as JSON takes it."""
+        """Return everything the double recorded, in JSON types."""
         sessions = self.niscope.open_sessions()
         with self.bench.changed:
             now_ns = self.bench.settle()
@@ -385,7 +385,7 @@ class Brain:
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 
     def clear_record(self) -> None:
-        """Forget calls, line events and leaks; levels and tasks stay what they are."""
+        """Discard calls, line events and leaks; levels and tasks stay."""
         with self.bench.changed:
             self.bench.settle()
             self._calls.clear()

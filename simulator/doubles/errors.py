@@ -1,4 +1,4 @@
-"""Errors of the doubles' own making; what a board answers is a `Status`.
+"""Errors of the doubles themselves; a board answers with a `Status`.
 
 ::
 
@@ -14,12 +14,12 @@ from simulator.errors import SimulatorError
 
 
 class DoublesError(SimulatorError):
-    """Anything about running a double."""
+    """Base class of errors about running a double."""
 
 
 class LibraryBuildError(DoublesError):
-    """No C compiler, not Linux, or the compiler refused."""
+    """Error: no C compiler, not Linux, or a failed compilation."""
 
 
 class DoublesProcessError(DoublesError):
-    """The double's process did not come up, or does not answer."""
+    """Error: the double's process did not start, or does not respond."""

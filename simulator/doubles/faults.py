@@ -1,4 +1,4 @@
-"""Faults on order: any call can fail, hang, lie, or end the process."""
+"""Faults on request: any call can fail, hang, lie, or end the process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS: tuple[FaultKind, ...] = ("error", "hang", "lie", "death")
 
 @dataclass(slots=True, eq=False)
 class Fault:
-    """One order.
+    """Requested fault.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Fault:
 
 
 class Faults:
-    """Orders not yet carried out."""
+    """Pending faults."""
 
     def __init__(self) -> None:
         self._orders: list[Fault] = []
@@ -56,7 +56,7 @@ class Faults:
 
     @property
     def hanging(self) -> int:
-        """Calls that hang now."""
+        """Return the calls that hang now."""
         with self._lock:
             return self._hanging
 
@@ -70,7 +70,7 @@ class Faults:
         times: int = 1,
         seconds: float | None = None,
     ) -> None:
-        """Order a fault for the nth call of a function from now on.
+        """Request a fault for the nth call of a function from now on.
 
         Raises
         ------
@@ -93,12 +93,12 @@ class Faults:
             self._orders.append(Fault(function, found, code or 0, nth - 1, times, seconds))
 
     def clear(self) -> None:
-        """Forget every order; hanging calls go on hanging until released."""
+        """Discard every pending fault; hanging calls continue to hang until released."""
         with self._lock:
             self._orders.clear()
 
     def due(self, function: str, attribute: str) -> Fault | None:
-        """Fault that strikes this call, counting it."""
+        """Return the fault of this call, and count the call."""
         with self._lock:
             struck: Fault | None = None
             for order in tuple(self._orders):
@@ -115,7 +115,7 @@ class Faults:
             return struck
 
     def hang(self, seconds: float | None) -> None:
-        """Keep this call until released or for so long."""
+        """Hold this call until it is released or ``seconds`` are over."""
         with self._released:
             count = self._release_count
             self._hanging += 1
@@ -125,7 +125,7 @@ class Faults:
             self._released.notify_all()
 
     def release(self) -> None:
-        """Let every hanging call go on."""
+        """Release every hanging call."""
         with self._released:
             self._release_count += 1
             self._released.notify_all()
@@ -136,20 +136,20 @@ class Faults:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
 
-def lie(
+def wrong_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Plausible wrong answer: success without doing it, or what came out bent a little.
+    """Return a plausible wrong answer: success without doing it, or slightly changed values.
 
     A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
     empty, a handle belongs to no task.
     """
-    told = outputs(entry, arguments.get("attribute", 0))
-    if not told:
+    parameters = outputs(entry, arguments.get("attribute", 0))
+    if not parameters:
         return {}
     values = dict(answer())
     counts = ("samps_per_chan_read", "samps_read")
-    for parameter in told:
+    for parameter in parameters:
         if parameter.name not in values:
             continue
         if parameter.name in counts:
@@ -157,19 +157,19 @@ def lie(
         elif parameter.role is Role.OUT_ARRAY and any(name in values for name in counts):
             values[parameter.name] = values[parameter.name][: len(values[parameter.name]) // 2]
         else:
-            values[parameter.name] = _bent(parameter, values[parameter.name])
+            values[parameter.name] = _distorted(parameter, values[parameter.name])
     return values
 
 
-def _bent(parameter: Parameter, value: Any) -> Any:
+def _distorted(parameter: Parameter, value: Any) -> Any:
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:
         return np.asarray(value) * 2
-    return _bent_number(parameter.scalar, value)
+    return _distorted_number(parameter.scalar, value)
 
 
-def _bent_number(scalar: Scalar, value: Any) -> Any:
+def _distorted_number(scalar: Scalar, value: Any) -> Any:
     if scalar is FLOAT64:
         return value * 1.01
     if scalar is HANDLE:

@@ -1,1 +1,1 @@
-"""The ultrasonic echo: far wall, pulse, records. Nothing of solitary waves."""
+"""Ultrasonic echo: far wall, pulse, records. Nothing of solitary waves."""

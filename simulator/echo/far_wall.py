@@ -1,4 +1,4 @@
-"""The far wall under an ultrasonic probe: facets of local thickness, weighted by the beam.
+"""Far wall under an ultrasonic probe: facets of local thickness, weighted by the beam.
 
 Every spot corrodes at a rate of its own that it keeps: the local loss is the mean loss times a lognormal
 field whose logarithm is Gaussian and correlated over a few millimetres. So the wall roughens as
@@ -27,7 +27,7 @@ SPOT_REACH_DIAMETERS = 1.2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoughSpot:
-    """What of the far wall a probe sees, at any depth.
+    """Rough part of the far wall under a probe, at any depth.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class RoughSpot:
     weights: FloatArray
 
     def at(self, pristine_m: float, depth_fraction: float) -> FarWall:
-        """Local thicknesses where the wall has lost this fraction on the average under the beam.
+        """Return local thicknesses where the wall has lost this fraction on average under the beam.
 
         Facets through which the wall is gone send nothing back: they stay, with thickness 0.
         """
@@ -58,22 +58,22 @@ class FarWall:
 
     @property
     def mean_m(self) -> float:
-        """Mean thickness, weighted by the beam."""
+        """Return the mean thickness, weighted by the beam."""
         return float(self.weights @ self.thickness_m)
 
     @property
     def rms_m(self) -> float:
-        """RMS roughness about that mean, weighted by the beam."""
+        """Return the RMS roughness about that mean, weighted by the beam."""
         return math.sqrt(float(self.weights @ (self.thickness_m - self.mean_m) ** 2))
 
     @property
     def least_m(self) -> float:
-        """Thickness at the thinnest facet inside the -6 dB spot."""
+        """Return the thickness at the thinnest facet inside the -6 dB spot."""
         return float(self.thickness_m[self.weights >= 0.5 * self.weights.max()].min())
 
 
 def smooth_wall(thickness_m: float) -> FarWall:
-    """Return a wall of one thickness."""
+    """Return a wall of uniform thickness."""
     return FarWall(thickness_m=np.array([thickness_m]), weights=np.ones(1))
 
 
@@ -105,7 +105,7 @@ def rough_spot(
 def gaussian_field(
     x_m: FloatArray, y_m: FloatArray, correlation_length_m: float, random: np.random.Generator
 ) -> FloatArray:
-    """Stationary field of mean 0, variance 1 and autocorrelation exp(-r^2 / l^2), shape (n_x, n_y).
+    """Return a stationary field, mean 0, variance 1, autocorrelation exp(-r^2 / l^2), shape (n_x, n_y).
 
     A sum of plane waves of equal amplitude whose wave vectors are drawn from the field's spectrum, which
     for this autocorrelation is a normal one of SD sqrt(2) / l in each direction.

@@ -37,17 +37,17 @@ STEEL_REFLECTION = 0.94
 
 
 def path_m(thickness_m: float, echo: EchoParameters, times: int = 1) -> float:
-    """Length of the sound's way in the wall, ``times`` up and down."""
+    """Return the length of the sound path in the wall, ``times`` up and down."""
     return math.hypot(2.0 * times * thickness_m, echo.element_separation_m)
 
 
 def travel_time_s(thickness_m: float, echo: EchoParameters) -> float:
-    """Time from the firing pulse to the peak of the first back-wall echo's envelope; the wall is smooth."""
+    """Return the time from firing to the first back-wall echo's envelope peak for a smooth wall."""
     return echo.delay_s + path_m(thickness_m, echo) / echo.velocity_m_per_s
 
 
 def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
-    """Probe and wall so much warmer than the temperature their parameters hold at."""
+    """Return probe and wall warmer by ``warmer_k`` than the temperature of their parameters."""
     return replace(
         echo,
         delay_s=echo.delay_s * (1.0 + echo.delay_per_k * warmer_k),
@@ -56,7 +56,7 @@ def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
 
 
 def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
-    """Noise-free record, shape (record_samples,); time zero is the firing pulse.
+    """Return the noise-free record, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
-    """Back-wall echoes drawn one by one: the closed form where the pulse keeps its shape."""
+    """Return back-wall echoes in closed form, for a pulse that keeps its shape."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
     for times in range(1, echo.record_samples):
@@ -96,7 +96,9 @@ def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
 
 
 def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
-    """Back-wall echoes of all facets: their arrivals, weighted, convolved with the pulse by its spectrum.
+    """Return back-wall echoes of all facets.
+
+    Their arrivals, weighted, convolved with the pulse by its spectrum.
 
     The pulse is filtered by what the attenuation at each frequency differs from the one at the centre, at
     the mean path of each echo; the attenuation at the centre is each facet's own.
@@ -136,7 +138,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
-    """Add heights to a grid, each shared by the two points around its place."""
+    """Add heights to a grid, each shared by the two points around its position."""
     index = place.astype(np.intp)
     later = place - index
     first = int(index.min())
@@ -146,19 +148,19 @@ def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
 
 
 def _loss(way_m: float, echo: EchoParameters) -> float:
-    """Amplitude left after a way in the wall, at the centre frequency."""
+    """Return the remaining amplitude after a path in the wall, at the centre frequency."""
     return float(10.0 ** (-echo.attenuation_db_per_m * way_m / 20.0))
 
 
 def _attenuation_filter(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
-    """Amplitude left at each frequency over that at the centre frequency."""
+    """Return the remaining amplitude at each frequency relative to that at the centre frequency."""
     relative = (frequency_hz / echo.centre_frequency_hz) ** echo.attenuation_exponent - 1.0
     filtered: FloatArray = 10.0 ** (-echo.attenuation_db_per_m * relative * way_m / 20.0)
     return filtered
 
 
 def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArray:
-    """Fourier transform of `_add_pulse`'s burst around its peak, in seconds."""
+    """Return the Fourier transform of `_add_pulse`'s burst around its peak, in seconds."""
     spread_s = _spread_s(echo)
     lines = [
         np.exp(-0.5 * (2.0 * np.pi * (frequency_hz - sign * echo.centre_frequency_hz) * spread_s) ** 2)
@@ -169,7 +171,10 @@ def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArra
 
 
 def _spread_s(echo: EchoParameters) -> float:
-    """SD of the pulse's Gaussian envelope: its spectrum falls to one half (-6 dB) at half the bandwidth."""
+    """Return the SD of the pulse's Gaussian envelope.
+
+    Its spectrum is one half (-6 dB) at half the bandwidth.
+    """
     half_bandwidth_hz = 0.5 * echo.bandwidth_fraction * echo.centre_frequency_hz
     return math.sqrt(2.0 * math.log(2.0)) / (2.0 * math.pi * half_bandwidth_hz)
 
@@ -219,7 +224,7 @@ def bubble_volts(
 
 
 def echo_calibration(echo: EchoParameters) -> Calibration:
-    """Linear scaling of the receiver over its range."""
+    """Return the linear scaling of the receiver over its range."""
     half = float(1 << (echo.resolution_bits - 1))
     return Calibration(
         coefficients_v=np.array([0.0, echo.range_v / half]),

@@ -1,4 +1,4 @@
-"""From a wall under an ultrasonic probe to the records its receiver takes and averages.
+"""Records of an ultrasonic probe: from the wall to the averaged record.
 
 What differs between two records of one wall is noise, the couplant and the bubbles in the liquid; each is
 keyed by seed, key and purpose.
@@ -44,13 +44,13 @@ class ProbedWall:
     warmer_k: float
 
     def volts(self, echo: EchoParameters) -> FloatArray:
-        """Noise-free record, shape (record_samples,)."""
+        """Return the noise-free record, shape (record_samples,)."""
         return echo_volts(
             self.thickness_m if self.facets is None else self.facets, at_temperature(echo, self.warmer_k)
         )
 
     def truth(self, echo: EchoParameters) -> dict[str, float]:
-        """Return what is stored of the wall; the travel time is that of a smooth one of its thickness."""
+        """Return the stored true values of the wall; the travel time is that of a smooth wall."""
         known = {
             "thickness_m": self.thickness_m,
             "travel_time_s": travel_time_s(self.thickness_m, at_temperature(echo, self.warmer_k)),
@@ -73,7 +73,7 @@ def probed_wall(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disturbance:
-    """What disturbs the records of one acquisition, the noise apart.
+    """Disturbances of the records of one acquisition, without the noise.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Disturbance:
 
 
 def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Disturbance, dict[str, float]]:
-    """Draw couplant and bubbles of one acquisition, with the truth of those that can act."""
+    """Draw couplant and bubbles of one acquisition, and return the true values of the active ones."""
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
         level_db = echo.coupling_sd_db * generator(seed, Purpose.COUPLING, key=key).standard_normal()
@@ -102,7 +102,7 @@ def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Distu
 def disturbed_records(
     wall: ProbedWall, echo: EchoParameters, found: Disturbance, *, seed: int, key: ShotKey, records: int
 ) -> FloatArray:
-    """Volts of single records before their noise, shape (records, record_samples)."""
+    """Return volts of single records before their noise, shape (records, record_samples)."""
     volts = np.tile(wall.volts(echo), (records, 1))
     if found.bubbles:
         random = generator(seed, Purpose.BUBBLES, key=key)
@@ -121,7 +121,7 @@ def averaged_record(
     key: ShotKey,
     noisy: bool,
 ) -> tuple[FloatArray, int]:
-    """Mean of the single records in volts, shape (record_samples,), and how many of them clipped.
+    """Return the mean of the single records in volts, shape (record_samples,), and how many clipped.
 
     Every record is cut off at the ends of the ADC's range before the mean, as in a receiver: with noise the
     mean then no longer shows it. Where no record can come that far their noise is drawn once, as the mean's.
@@ -141,7 +141,7 @@ def averaged_record(
         return mean_v, 0
     ends_v = calibration.volts(np.array([low, high], dtype=np.int32))
     total_v, clipped = np.zeros_like(mean_v), 0
-    for records in _batches(echo.averages):
+    for records in _batch_sizes(echo.averages):
         volts = mean_v + noise_v * random.standard_normal((records, mean_v.size))
         counts = counts_of(volts, calibration)
         clipped += int(np.count_nonzero((counts <= low + 1).any(axis=1) | (counts >= high).any(axis=1)))
@@ -149,7 +149,7 @@ def averaged_record(
     return total_v / echo.averages, clipped
 
 
-def _batches(records: int) -> Iterator[int]:
+def _batch_sizes(records: int) -> Iterator[int]:
     """Split a number of records into parts of at most `RECORDS_AT_ONCE`."""
     for first in range(0, records, RECORDS_AT_ONCE):
         yield min(RECORDS_AT_ONCE, records - first)

@@ -1,1 +1,1 @@
-"""From force to counts: sensor disk, digitizer, what interferes. No mechanics."""
+"""Electronics from force to counts: sensor disk, digitizer, interference. No mechanics."""

@@ -1,4 +1,4 @@
-"""Voltages that no wave made: hum, spikes and what rings at the digitizer's input."""
+"""Interference: hum, spikes and ringing at the digitizer's input."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Interference:
     spike_fwhm_s: float
 
     def false_triggers_s(self, level_v: float) -> FloatArray:
-        """Return the times before the wave at which a spike alone passes the trigger level upwards."""
+        """Return the times before the wave at which a spike alone crosses the trigger level upwards."""
         found: FloatArray = self.spike_time_s[(self.spike_time_s < 0.0) & (self.spike_v >= level_v)]
         return found
 
     def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
-        """Voltage of ``n_samples`` samples, the first of them at ``first_s``."""
+        """Return the voltage of ``n_samples`` samples, the first of them at ``first_s``."""
         t = first_s + np.arange(n_samples) / sample_rate_hz
         volts: FloatArray = self.hum_v * np.sin(
             2.0 * math.pi * self.hum_frequency_hz * t + self.hum_phase_rad
@@ -62,7 +62,7 @@ class Interference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ringing:
-    """A knock or an electrical burst: ``V sin(2 pi f t) exp(-t / tau)`` from its start on.
+    """Knock or electrical burst: ``V sin(2 pi f t) exp(-t / tau)`` from its start on.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Ringing:
     decay_s: float
 
     def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
-        """Voltage of ``n_samples`` samples, the first of them ``first_s`` after the contact."""
+        """Return the voltage of ``n_samples`` samples, the first of them ``first_s`` after the contact."""
         volts = np.zeros(n_samples)
         begins_s = self.start_s - first_s
         ends_s = begins_s + RING_REACH_DECAYS * self.decay_s

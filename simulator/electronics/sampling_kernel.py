@@ -1,4 +1,4 @@
-"""Loops over the samples of a record, compiled: one pass each where arrays would take ten.
+"""Compiled loops over the samples of a record: one pass each where arrays would take ten.
 
 None takes longer than some 40 us, and none releases the GIL: a record computed ahead would hand it to and
 fro with the thread that stores the present one, and each time costs both of them as much as such a loop.
@@ -26,7 +26,7 @@ AT_ONCE = 8
 def cubic_samples(
     volts: FloatArray, step_s: float, start_s: float, rate_hz: float, n_samples: int
 ) -> FloatArray:
-    """Lagrange's cubic through the four nearest points, read off on the sample clock.
+    """Interpolate by Lagrange's cubic through the four nearest points at the sample clock.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def cubic_samples(
 
 @compiled(error_model="numpy")
 def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
-    """Time of the first passage through the level, or of the maximum if it is never reached."""
+    """Return the time of the first crossing of the level, or of the maximum if it is never reached."""
     highest = 0
     for k in range(volts.shape[0]):
         if volts[k] >= level_v:
@@ -88,7 +88,7 @@ def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
 
 @compiled(error_model="numpy")
 def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
-    """First sample from ``first`` on that is at or above the level while the one before is below; else -1."""
+    """Return the first sample from ``first`` on at or above the level after one below it; else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
         if volts[k] >= level_v and not volts[k - 1] >= level_v:
             return k
@@ -137,7 +137,7 @@ def inverted_codes(
     high: int,
     codes: NDArray[Any],
 ) -> None:
-    """Whole codes of voltages: inverse of ``offset + slope (c + sum(curved[k] c**(k + 2)))``, clipped.
+    """Return codes of voltages: inverse of ``offset + slope (c + sum(curved[k] c**(k + 2)))``, clipped.
 
     Parameters
     ----------

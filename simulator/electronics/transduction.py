@@ -1,4 +1,4 @@
-"""From the force at the sensor to the counts of a triggered record.
+"""Transduction from the force at the sensor to the counts of a triggered record.
 
 force less preload -> volts (PZT) -> plus noise -> analog-edge trigger -> ADC counts. The PZT does not
 see the static preload; a force that falls below it leaves a small negative voltage.
@@ -34,7 +34,7 @@ INVERSE_TOLERANCE_COUNTS = 1e-6
 
 
 def adc_calibration(adc: AdcParameters) -> Calibration:
-    """Scaling polynomial of the board: ideal codes reach `over_range_fraction` beyond the range."""
+    """Return the board's scaling polynomial: ideal codes reach `over_range_fraction` beyond the range."""
     half = float(1 << (adc.resolution_bits - 1))
     full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
     return Calibration(
@@ -52,7 +52,7 @@ def adc_calibration(adc: AdcParameters) -> Calibration:
 
 
 def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
-    """Nearest code of each voltage: the rounded inverse of the scaling polynomial, clipped to the codes.
+    """Return the nearest code of each voltage: the rounded inverse of the scaling, clipped to the codes.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
 
 @lru_cache(maxsize=64)
 def _inversion(calibration: Calibration) -> tuple[FloatArray, int]:
-    """Coefficients of a polynomial's bend over its slope, and how often to take it off (`inverted_codes`)."""
+    """Return the polynomial's curvature over its slope, and the number of passes (`inverted_codes`)."""
     # The polynomial is a line with a slight bend: take the bend at the last answer off the line's,
     # again and again. Each step shrinks the error by `bend`, the largest relative change of slope.
     low, _ = calibration.full_scale_counts
@@ -214,7 +214,7 @@ def add_noise_volts(
 
 @lru_cache(maxsize=64)
 def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
-    """Find samples per step of the grid that slow noise is drawn on, its length, and lines of its spectrum.
+    """Return samples per step of the slow noise's grid, its length, and lines of its spectrum.
 
     The spectrum is even up to the shortest period, given in samples; the grid is ten times finer than that,
     or as fine as the samples, and brought from there to the samples by a cubic (within 0.4 % at the shortest
@@ -228,7 +228,7 @@ def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
 
 @lru_cache(maxsize=64)
 def _cubic_weights(per_step: int) -> FloatArray:
-    """Lagrange's cubic through points at -1, 0, 1 and 2, at samples from 0 to 1; shape (4, per_step)."""
+    """Return weights of Lagrange's cubic at -1, 0, 1 and 2 for samples from 0 to 1; shape (4, per_step)."""
     x = np.arange(per_step) / per_step
     return np.array(
         [

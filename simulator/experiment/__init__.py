@@ -1,1 +1,1 @@
-"""What happens to the specimen over a test: corrosion, scatter, seeded faults."""
+"""Changes of the specimen over a test: corrosion, scatter, seeded faults."""

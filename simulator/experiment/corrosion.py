@@ -1,4 +1,4 @@
-"""How deep the wall of a position is gone at a given hour.
+"""Wall loss of a position at a given hour.
 
 The patch thins slowly and unevenly about a linear trend, the shape of the paper's figure 15. A hole
 is a pit in a patch that is much less thinned: the mean depth enters the plate model, the pit's depth
@@ -52,12 +52,12 @@ class Wall:
 
     @property
     def patch_depth_fraction(self) -> float:
-        """Depth that the model of the plate takes: a flat patch's mean, a mosaic's deepest pit."""
+        """Return the depth for the model of the plate: a flat patch's mean, a mosaic's deepest pit."""
         return self.pit_depth_fraction if self.is_pitted else self.depth_fraction
 
     @property
     def is_hole(self) -> bool:
-        """True once the pit is through: the chain finds no plate and nothing is reflected."""
+        """Return True once the pit is through: the chain finds no plate and nothing is reflected."""
         return self.pit_depth_fraction >= DEEPEST_PATCH_FRACTION
 
 
@@ -81,11 +81,11 @@ class WallHistory:
     pits: NDArray[np.float64]
 
     def at(self, hour_h: float) -> Wall:
-        """State at an hour of the experiment."""
+        """Return the state at an hour of the test."""
         return _wall(self, hour_h)
 
     def mean_at(self, hour_h: float) -> float:
-        """Mean depth at an hour of the experiment."""
+        """Return the mean depth at an hour of the test."""
         onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
         if self.thinning.history:
             hours, depths = zip(*self.thinning.history, strict=True)
@@ -94,7 +94,10 @@ class WallHistory:
         return min(self.thinning.depth_fraction * self._progress(u), DEEPEST_PATCH_FRACTION)
 
     def _progress(self, u: float) -> float:
-        """Integral of the relative rate; 1 at u = 1 whatever the phases, since each term is periodic."""
+        """Return the integral of the relative rate.
+
+        1 at u = 1 for any phases, since each term is periodic.
+        """
         k = 2.0 * np.pi * np.arange(1, HARMONICS + 1)
         wobble = self.amplitudes / k * (np.sin(k * u + self.phases_rad) - np.sin(self.phases_rad))
         return u + float(wobble.sum())
@@ -102,7 +105,7 @@ class WallHistory:
 
 @lru_cache(maxsize=256)
 def _wall(history: WallHistory, hour_h: float) -> Wall:
-    """State of a wall; all shots of a set ask for it."""
+    """Return the state of a wall, cached: all shots of a set need it."""
     mean = history.mean_at(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
     is_pitted = history.pits.size > 0
@@ -132,7 +135,7 @@ def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> W
 
 
 def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
-    """Draw a Weibull spectrum of depths over that of the deepest, which lies in the middle.
+    """Draw a Weibull spectrum of depths relative to the deepest, which is in the middle.
 
     Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
     law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
@@ -157,7 +160,7 @@ def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
 
 
 def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters) -> CorrosionParameters:
-    """Patch that the model of a position's plate takes: a mosaic where it has pits.
+    """Return the patch for the model of a position's plate: a mosaic where it has pits.
 
     Raises
     ------
@@ -208,7 +211,7 @@ def pitted(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionPar
 
 
 def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
-    """Hour of the experiment rounded down to the update interval.
+    """Return the hour of the test rounded down to the update interval.
 
     Rounded in integer nanoseconds: a due time that is a multiple of the interval belongs to the
     interval it opens.

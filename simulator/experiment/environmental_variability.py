@@ -1,4 +1,4 @@
-"""What a level of nuisance does to one shot, a pure function of seed, key and hour.
+"""Environmental and operational variability of one shot, a pure function of seed, key and hour.
 
 `parameters.nuisance` has the sizes, `seating` what the shots of a set share. `TransducerNuisance` says how
 each strike of one transducer finds the chain: contacts, drop height, tilt, gain, temperatures, noise. The
@@ -43,7 +43,7 @@ RINGS_FROM_S, RINGS_TO_S = -0.3e-3, 1.2e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShotNuisance:
-    """How one strike differs from one without nuisance.
+    """Deviations of one strike from one without variability.
 
     Attributes
     ----------
@@ -82,11 +82,14 @@ class ShotNuisance:
 
     @property
     def rings(self) -> list[Ringing]:
-        """What is heard."""
+        """Return the ringing in the record."""
         return [ring for ring in (self.knock, self.burst) if ring is not None]
 
     def truth(self) -> dict[str, float]:
-        """Columns stored with the record; ``temperature_c`` and those of the strike hold the rest."""
+        """Return the columns stored with the record.
+
+        ``temperature_c`` and those of the strike hold the rest.
+        """
         contacts = self.contacts
         values = (
             float(self.reseats),
@@ -109,7 +112,7 @@ class ShotNuisance:
 
 @lru_cache(maxsize=16)
 def _columns(bodies: int) -> tuple[str, ...]:
-    """Names of the truth, in the order of its values."""
+    """Return the names of the true values, in their order."""
     alone = (
         *("reseats", "rogue", "wear_radius_factor", "drop_factor", "gain_factor", "noise_factor", "tilt_rad"),
         *("plate_warmer_k", "plate_modulus_factor", "liquid_factor", "knock_v", "burst_v"),
@@ -120,7 +123,7 @@ def _columns(bodies: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Block:
-    """Some shots of one set, drawn together because that costs little more than one.
+    """Several shots of one set, drawn together because that costs little more than one.
 
     Attributes
     ----------
@@ -184,7 +187,7 @@ def _block(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransducerNuisance:
-    """Nuisance of one transducer."""
+    """Environmental and operational variability of one transducer."""
 
     level: str
     seed: int
@@ -192,7 +195,7 @@ class TransducerNuisance:
     climate: Climate
 
     def at(self, key: ShotKey, hour_h: float, warmer_k: float) -> ShotNuisance:
-        """Draw what disturbs a strike.
+        """Draw the deviations of a strike.
 
         Parameters
         ----------
@@ -232,7 +235,7 @@ class TransducerNuisance:
 def _ring(
     height_v: float, range_hz: tuple[float, float], decay_s: tuple[float, float], even: FloatArray
 ) -> Ringing:
-    """Frequency and decay are even in their logarithm."""
+    """Draw a ringing whose frequency and decay are uniform in their logarithm."""
     return Ringing(
         start_s=RINGS_FROM_S + (RINGS_TO_S - RINGS_FROM_S) * float(even[0]),
         height_v=float(height_v),
@@ -258,7 +261,7 @@ def disturbed_strike(
 
 @lru_cache(maxsize=16)
 def disturbed_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
-    """Noise of an hour; what is off stays off."""
+    """Return the noise of an hour; disabled noise stays disabled."""
     if factor == 1.0:
         return noise
     return replace(noise, rms_v=noise.rms_v * factor, slow_rms_v=noise.slow_rms_v * factor)

@@ -1,4 +1,4 @@
-"""Seeded faults of the rig: what befalls one shot, a pure function of seed, key and hour.
+"""Seeded faults of the rig for one shot, a pure function of seed, key and hour.
 
 `parameters.faults` says which faults a position has; here they are drawn, and strike and chain altered.
 The altered shot takes the same way as a sound one: through the physics, the trigger and the ADC. Each
@@ -28,7 +28,7 @@ HOURS_PER_YEAR = 8_766.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShotFaults:
-    """What befalls one shot; the defaults are a sound one.
+    """Faults of one shot; the defaults are a sound one.
 
     Attributes
     ----------
@@ -79,11 +79,11 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
             delay_s, height_fraction = _second_strike(faults, seed, key)
         truth["fault_double_delay_s"] = math.nan if delay_s is None else delay_s
         truth["fault_double_height_fraction"] = math.nan if delay_s is None else height_fraction
-    tilt_rad = faults.tilt.tilt_rad * _grown(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
+    tilt_rad = faults.tilt.tilt_rad * _grown_fraction(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
     if faults.tilt.tilt_rad > 0.0:
         truth["fault_tilt_rad"] = tilt_rad
     wear = faults.bead_wear
-    radius_factor = 1.0 + wear.radius_growth_fraction * _grown(wear.onset_h, wear.ramp_h, hour_h)
+    radius_factor = 1.0 + wear.radius_growth_fraction * _grown_fraction(wear.onset_h, wear.ramp_h, hour_h)
     if wear.radius_growth_fraction > 0.0:
         truth["fault_bead_wear_radius_factor"] = radius_factor
     if faults.pzt_ageing.loss_fraction_per_year > 0.0:
@@ -100,7 +100,7 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
         truth["fault_loose_contact_damping_factor"] = damping_factor
         gain_factor *= truth["fault_loose_contact_gain_factor"]
     warmer = faults.temperature
-    temperature_k = warmer.change_k * _grown(warmer.onset_h, warmer.ramp_h, hour_h)
+    temperature_k = warmer.change_k * _grown_fraction(warmer.onset_h, warmer.ramp_h, hour_h)
     if warmer.change_k != 0.0:
         truth["fault_temperature_k"] = temperature_k
     if faults.clipping.gain_factor > 1.0:
@@ -120,8 +120,8 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     )
 
 
-def _grown(onset_h: float, ramp_h: float, hour_h: float) -> float:
-    """Part of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
+def _grown_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
+    """Return the fraction of a gradual fault's full size: 0 before its onset, 1 after its ramp."""
     if hour_h < onset_h:
         return 0.0
     return min((hour_h - onset_h) / ramp_h, 1.0) if ramp_h > 0.0 else 1.0
@@ -136,7 +136,7 @@ def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[fl
 
 
 def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
-    """Tilt the disk further, with its own loss of gain, and change the gain."""
+    """Tilt the disk further, with the loss of gain from the tilt, and change the gain."""
     tilt_rad = min(strike.tilt_rad + faults.tilt_rad, STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
     return replace(
@@ -147,7 +147,7 @@ def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) 
 
 
 def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
-    """Chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
+    """Return the chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
     return replace(
         chain.with_worn_contacts(faults.radius_factor),
         contact_damping_n_s_per_m=chain.contact_damping_n_s_per_m * faults.contact_damping_factor,
@@ -157,7 +157,7 @@ def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
 def interference_of_shot(
     faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[Interference | None, dict[str, float]]:
-    """Draw hum and spikes around one strike, with their truth; None where a position has neither.
+    """Draw hum and spikes around one strike, with their true values; None where a position has neither.
 
     Spikes come evenly from the arming to the end of the record. The truth counts those inside a record
     that the wave itself triggers.
@@ -196,7 +196,7 @@ def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
 def _spikes(
     spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw times and heights of a Poisson process from the arming to the record's end."""
+    """Draw times and heights of a Poisson process from arming to the record's end."""
     if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
     random = generator(seed, Purpose.SPIKES, key=key)

@@ -1,4 +1,4 @@
-"""Random processes with memory whose value at any set or hour is computed alone, from the seed.
+"""Random processes with autocorrelation, each set or hour computed independently from the seed.
 
 A recursion would have to be run from the start. Here each value is a sum over a window of innovations that
 are drawn by blocks, each block from a key of its own, so that shots may be computed in any order, in any
@@ -26,18 +26,18 @@ RESEAT_BLOCK_H = 1_000.0
 """Re-seats are drawn for so many hours at a time."""
 
 
-def _kept(drawn: FloatArray) -> FloatArray:
+def _read_only(drawn: FloatArray) -> FloatArray:
     drawn.flags.writeable = False
     return drawn
 
 
 def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
-    """Student's t scaled to variance 1."""
+    """Draw Student's t scaled to variance 1."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
 def memory_weights(memory: FloatArray) -> FloatArray:
-    """Weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n), oldest first.
+    """Return weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n).
 
     Parameters
     ----------
@@ -47,8 +47,10 @@ def memory_weights(memory: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(1.0 - memory**2) * memory ** np.arange(LAGS - 1, -1, -1.0)[:, None])
 
 
-def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
-    """Stationary processes of variance 1 at a set, shape (n,).
+def autocorrelated_values(
+    weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int
+) -> FloatArray:
+    """Return stationary processes of variance 1 at a set, shape (n,).
 
     Parameters
     ----------
@@ -60,12 +62,12 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
     A set beside the plan remembers what the next planned one does, and has an innovation of its own: planned
     sets stay what they are without it.
     """
-    planned, beside = in_order(set_index)
-    block, first = divmod(planned + bool(beside), LAGS)
+    planned, unscheduled = in_order(set_index)
+    block, first = divmod(planned + bool(unscheduled), LAGS)
     recent = np.concatenate(
         [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
-    if beside:
+    if unscheduled:
         key = ShotKey(position=position, set_index=set_index, shot_index=0)
         recent[-1] = unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],))
     return np.asarray((weights * recent).sum(axis=0))
@@ -73,27 +75,27 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
 
 @lru_cache(maxsize=256)
 def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
-    """Innovations of `LAGS` sets, those before the experiment in block 0."""
+    """Return the innovations of `LAGS` sets, those before the test in block 0."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
-    return _kept(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
+    return _read_only(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
 
 
 @lru_cache(maxsize=256)
-def wander(
+def draw_slow_drift(
     purpose: Purpose, seed: int, position: str, size: int, shortest_h: float, longest_h: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Periods in h and phases in rad of `size` wanders, shape (size, WANDER_TERMS).
+    """Draw periods in h and phases in rad of `size` slow drifts, shape (size, WANDER_TERMS).
 
     One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
     """
     random = generator(seed, purpose, position=position)
     steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
     phases = random.uniform(0.0, 2.0 * np.pi, (size, WANDER_TERMS))
-    return _kept(shortest_h * (longest_h / shortest_h) ** steps), _kept(phases)
+    return _read_only(shortest_h * (longest_h / shortest_h) ** steps), _read_only(phases)
 
 
-def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Value of `wander`, of variance 1, at an hour, shape (size,).
+def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return the value of `draw_slow_drift`, of variance 1, at an hour, shape (size,).
 
     n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
     """
@@ -102,10 +104,10 @@ def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray
     return np.asarray(np.sqrt(2.0 / WANDER_TERMS) * turns.sum(axis=-1))
 
 
-def place_after_reseats(
+def values_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
-    """How many re-seats there were, and where the last one left each source.
+    """Return the number of re-seats so far, and each source's value after the last one.
 
     The re-seats are a Poisson process. The places are normal with SD 1, independent of the ones before, so
     that a step is as often up as down; before the first re-seat they are 0.
@@ -123,16 +125,16 @@ def place_after_reseats(
 def _reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Hours of a block's re-seats, rising, and the places after each, shape (count, size)."""
+    """Draw hours of a block's re-seats, rising, and the values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
     hours_h = RESEAT_BLOCK_H * (block + np.sort(random.uniform(0.0, 1.0, count)))
-    return _kept(hours_h), _kept(random.standard_normal((count, size)))
+    return _read_only(hours_h), _read_only(random.standard_normal((count, size)))
 
 
 @lru_cache(maxsize=256)
-def noisy(seed: int, hour: int, probability: float) -> bool:
-    """Whether an hour of the experiment is noisy, the same for all positions."""
+def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
+    """Return whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
     return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -1,4 +1,4 @@
-"""What differs between two shots on the same wall: drop height, tilt, temperature, sensitivity."""
+"""Scatter between shots on the same wall: drop height, tilt, temperature, sensitivity."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
-from simulator.experiment.processes import wander, wandering
+from simulator.experiment.processes import draw_slow_drift, slow_drift
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -25,34 +25,34 @@ LOWEST_DROP_FRACTION = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Temperature:
-    """Temperature of the room over time: day and night, and a slow seeded wander (`processes.wander`)."""
+    """Room temperature over time: day and night, and a slow seeded drift (`processes.draw_slow_drift`)."""
 
     drift: DriftParameters
     drawn: tuple[FloatArray, FloatArray]
 
     def at(self, hour_h: float) -> float:
-        """Temperature in degrees Celsius at an hour of the experiment."""
+        """Return the temperature in degrees Celsius at an hour of the test."""
         return _temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
 
 
 @lru_cache(maxsize=256)
 def _temperature_c(room: Temperature, hour_h: float) -> float:
-    """Temperature of a drifting room; all shots of an hour ask for it."""
+    """Return the temperature of a drifting room, cached: all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
-    wander_k = drift.wander_sd_k * wandering(hour_h, room.drawn)[0]
+    wander_k = drift.wander_sd_k * slow_drift(hour_h, room.drawn)[0]
     return float(drift.mean_temperature_c + day + wander_k)
 
 
 def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
-    """Draw the wander of the room, the same for all positions."""
-    drawn = wander(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
+    """Draw the slow drift of the room, the same for all positions."""
+    drawn = draw_slow_drift(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
     return Temperature(drift=drift, drawn=drawn)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strike:
-    """How one strike and its sensor differ from the nominal ones."""
+    """Deviations of one strike and its sensor from the nominal ones."""
 
     drop_height_m: float
     tilt_rad: float
@@ -69,7 +69,7 @@ def scattered_strike(
     sensor: SensorParameters,
     temperature_c: float,
 ) -> Strike:
-    """Drop height, tilt and sensitivity of one shot.
+    """Draw drop height, tilt and sensitivity of one shot.
 
     The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
     powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
@@ -113,6 +113,6 @@ def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
 
 
 def _unit_draws(random: np.random.Generator) -> tuple[float, float]:
-    """One normal and one uniform number, each of mean 0 and variance 1: for drop height and tilt."""
+    """Draw one normal and one uniform number of mean 0 and variance 1: for drop height and tilt."""
     half_width = np.sqrt(3.0)
     return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

@@ -1,4 +1,4 @@
-"""Where the sources of a level of nuisance stand when a set is struck: what its shots share.
+"""Values of the sources of variability that all shots of a set share.
 
 Memory, wander, re-seats and age of each contact and bead (`processes`), and the temperatures.
 """
@@ -13,12 +13,12 @@ import numpy as np
 
 from simulator.experiment.faults import HOURS_PER_YEAR
 from simulator.experiment.processes import (
+    autocorrelated_values,
+    draw_slow_drift,
+    is_noisy_hour,
     memory_weights,
-    noisy,
-    place_after_reseats,
-    remembering,
-    wander,
-    wandering,
+    slow_drift,
+    values_after_reseats,
 )
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
@@ -31,7 +31,7 @@ LIQUID_LEVELS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Climate:
-    """Surroundings of all positions: temperature on top of `scatter.Temperature`, and the liquid."""
+    """Environment of all positions: temperature on top of `scatter.Temperature`, and the liquid."""
 
     parameters: NuisanceParameters
     warmest_hour_h: float
@@ -40,35 +40,38 @@ class Climate:
     refilled: float
 
     def room_k(self, hour_h: float) -> float:
-        """Day and season."""
+        """Return the temperature change by day and season."""
         day = math.cos(2.0 * math.pi * (hour_h - self.warmest_hour_h) / 24.0)
         season = math.cos(2.0 * math.pi * hour_h / HOURS_PER_YEAR - self.season_rad)
         return self.parameters.day_amplitude_k * day + self.parameters.season_amplitude_k * season
 
     def process_k(self, hour_h: float) -> float:
-        """Plate over room."""
-        return self.parameters.process_sd_k * float(wandering(hour_h, self.process)[0])
+        """Return the temperature of the plate relative to the room."""
+        return self.parameters.process_sd_k * float(slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
-        """Depth of the liquid over the full one: it falls step by step and is topped up at once."""
+        """Return the liquid's depth relative to the full one.
+
+        It falls step by step and is refilled at once.
+        """
         part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
         return liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
 
 
 def liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
-    """All depths of the liquid over the full one."""
+    """Return all depths of the liquid relative to the full one."""
     steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
     return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
 
 
 def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season, process and when the liquid is topped up."""
+    """Draw season, process and the times of refills."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
         warmest_hour_h=warmest_hour_h,
         season_rad=float(generator(seed, Purpose.SEASON).uniform(0.0, 2.0 * math.pi)),
-        process=wander(
+        process=draw_slow_drift(
             Purpose.PROCESS, seed, "", 1, parameters.shortest_process_h, parameters.longest_process_h
         ),
         refilled=float(generator(seed, Purpose.REFILLS).random()),
@@ -77,7 +80,7 @@ def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Sources:
-    """The sources of a level at a chain of n bodies, one number for each contact, bead or transducer.
+    """Sources of a level at a chain of n bodies, one number for each contact, sphere or transducer.
 
     Attributes
     ----------
@@ -135,7 +138,10 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
 
 
 def _curvature(chain: ChainParameters) -> FloatArray:
-    """``d ln A / d ln R_j = (1/2) (1/R_j) / (1/R_i + 1/R_j)``: A goes with the root of the joint radius."""
+    """Return ``d ln A / d ln R_j = (1/2) (1/R_j) / (1/R_i + 1/R_j)``.
+
+    A goes with the root of the joint radius.
+    """
     bent = np.array([1.0 / chain.body(index).radius_m for index in range(chain.bodies)] + [0.0])
     change = np.zeros((chain.bodies, chain.bodies + 1))
     for contact in range(chain.bodies):
@@ -146,7 +152,7 @@ def _curvature(chain: ChainParameters) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seat:
-    """What the shots of one set share.
+    """Values that the shots of one set share.
 
     Attributes
     ----------
@@ -181,7 +187,7 @@ def seat_of_set(
     """Find where a set's shots scatter about; `warmer_k` as of `nuisance.TransducerNuisance.at`."""
     parameters, sources = NUISANCE[level], _sources(level, chain)
     size, n = sources.set_sd.size, chain.bodies
-    slow = wander(
+    slow = draw_slow_drift(
         Purpose.SEATING_WANDER,
         seed,
         position,
@@ -189,16 +195,16 @@ def seat_of_set(
         parameters.shortest_wander_h,
         parameters.longest_wander_h,
     )
-    reseats, place = place_after_reseats(
+    reseats, place = values_after_reseats(
         hour_h, parameters.reseats_per_1000_h / 1_000.0, seed=seed, position=position, size=size
     )
-    moved = remembering(
+    moved = autocorrelated_values(
         sources.memory, parameters.tail_dof, seed=seed, position=position, set_index=set_index
     )
     thousands = hour_h / 1_000.0
     growth = 1.0 + parameters.scatter_growth_per_1000_h * thousands
     stands = growth * sources.set_sd * moved
-    stands = stands + sources.wander_sd * wandering(hour_h, slow) + sources.reseat_sd * place
+    stands = stands + sources.wander_sd * slow_drift(hour_h, slow) + sources.reseat_sd * place
     logs = (sources.effect * stands).sum(axis=1)  # BLAS would round as the machine likes
 
     wear = math.log1p(parameters.wear_per_1000_h * thousands)
@@ -224,5 +230,5 @@ def seat_of_set(
         plate_warmer_k=plate_k,
         plate_modulus_factor=plate_modulus,
         liquid_factor=weather.liquid_factor(hour_h),
-        noisy=noisy(seed, int(hour_h), parameters.noisy_hour_probability),
+        noisy=is_noisy_hour(seed, int(hour_h), parameters.noisy_hour_probability),
     )

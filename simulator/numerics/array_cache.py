@@ -1,4 +1,4 @@
-"""Computed arrays kept on disk, found by a hash of everything that makes them.
+"""Cache of computed arrays on disk, keyed by a hash of everything that determines them.
 
 A file is `MAGIC`, the SHA-256 of the rest, the header's length (u32), the header (JSON, padded with
 spaces to a multiple of 64 bytes): ``[[name, shape], ...]``, and the arrays as little-endian float64.
@@ -49,10 +49,10 @@ FOLDER_LIMIT_BYTES: Final = 500_000_000
 """Beyond this the oldest files are removed: several hundred plates."""
 
 
-def kept_arrays(
+def cached_arrays(
     folder: Path | None, key: str, compute: Callable[[], Mapping[str, FloatArray]]
 ) -> dict[str, FloatArray]:
-    """Read the arrays kept in `folder` under `key`, or compute and keep them.
+    """Read the arrays stored in `folder` under `key`, or compute and store them.
 
     Parameters
     ----------
@@ -75,26 +75,26 @@ def kept_arrays(
 
 
 def content_key(described: Mapping[str, object]) -> str:
-    """Hash of what is computed, of all the code of the twin and of the libraries below it.
+    """Return a hash of the description, of all the code of the twin and of the libraries below it.
 
     Parameters
     ----------
     described
         The name of the computation and everything that goes in, for `json.dumps`.
     """
-    text = json.dumps({"described": described, "made_with": _made_with()}, sort_keys=True)
+    text = json.dumps({"described": described, "made_with": _environment()}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def _made_with() -> dict[str, object]:
-    """Name what else decides the digits; linear algebra has other kernels on another kind of processor."""
+def _environment() -> dict[str, object]:
+    """Return what else determines the digits; linear algebra has other kernels on another processor."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
     return {"code": source_digest(), "libraries": libraries, "blas": blas_libraries()}
 
 
 def read_arrays(path: Path) -> dict[str, FloatArray] | None:
-    """Arrays of a file by `write_arrays`; None if there is none that is whole and readable."""
+    """Read arrays written by `write_arrays`; None if there is no complete and readable file."""
     try:
         stored = path.read_bytes()
     except FileNotFoundError:
@@ -121,7 +121,7 @@ def read_arrays(path: Path) -> dict[str, FloatArray] | None:
 def write_arrays(
     path: Path, arrays: Mapping[str, FloatArray], *, limit_bytes: int = FOLDER_LIMIT_BYTES
 ) -> None:
-    """Keep `arrays` at `path`; a folder that cannot be written is logged, and nothing is kept.
+    """Write `arrays` to `path`; if the folder cannot be written, log that and store nothing.
 
     Beyond `limit_bytes` the folder loses its oldest files.
     """
@@ -157,7 +157,7 @@ def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
 
 
 def _sweep_unfinished(folder: Path) -> None:
-    """Remove what killed writers left. On Windows a file that is still open stays by itself."""
+    """Remove files of killed writers. On Windows a file that is still open stays."""
     now = time.time()
     for entry in _entries(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
@@ -167,7 +167,7 @@ def _sweep_unfinished(folder: Path) -> None:
 
 
 def _keep_within(folder: Path, limit_bytes: int) -> None:
-    """Remove the oldest files of a folder that has grown beyond the limit."""
+    """Remove the oldest files of a folder that exceeds the limit."""
     files = [(entry, _status(entry)) for entry in _entries(folder) if entry.name.endswith(SUFFIX)]
     oldest = sorted(((s.st_mtime_ns, s.st_size, e.path) for e, s in files if s is not None), reverse=True)
     total = sum(size for _, size, _ in oldest)

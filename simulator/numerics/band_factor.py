@@ -17,7 +17,7 @@ from simulator.numerics.arrays import FloatArray, IntArray
 
 
 def band_factor(band: FloatArray) -> FloatArray:
-    """Cholesky factor of a positive definite matrix in LAPACK's lower band storage, which it overwrites.
+    """Return the Cholesky factor of a positive definite matrix in LAPACK's lower band storage, in place.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def band_solve(factor: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def lower_band(matrix: sparse.spmatrix) -> FloatArray:
-    """LAPACK's lower band storage of a symmetric matrix: ``band[i - j, j] = matrix[i, j]``."""
+    """Return LAPACK's lower band storage of a symmetric matrix: ``band[i - j, j] = matrix[i, j]``."""
     entries = _LowerEntries.of(matrix, np.arange(matrix.shape[0]))
     band = np.zeros((int(entries.below.max()) + 1, matrix.shape[0]), order="F")
     band[entries.below, entries.column] = entries.value
@@ -46,7 +46,7 @@ def lower_band(matrix: sparse.spmatrix) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _LowerEntries:
-    """Lower triangle of a symmetric matrix whose unknown k stands at ``place[k]``."""
+    """Lower triangle of a symmetric matrix whose unknown k is at ``place[k]``."""
 
     below: IntArray
     column: IntArray
@@ -60,7 +60,7 @@ class _LowerEntries:
         return cls(below=(row - column)[lower], column=column[lower], value=entries.data[lower])
 
     def within(self, start: int, stop: int) -> _LowerEntries:
-        """Rows and columns from `start` to `stop`, numbered from zero."""
+        """Return rows and columns from `start` to `stop`, numbered from zero."""
         inside = (self.column >= start) & (self.column + self.below < stop)
         return _LowerEntries(
             below=self.below[inside], column=self.column[inside] - start, value=self.value[inside]
@@ -99,7 +99,7 @@ class FactorFamily:
         self._taken = before - np.tril(corner @ corner.T)
 
     def factor(self, s: float) -> FloatArray:
-        """Factor of A(s) in the order of elimination; the next call overwrites it.
+        """Return the factor of A(s) in the order of elimination; the next call overwrites it.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class FactorFamily:
         return self._factor
 
     def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve with a factor by `factor`; `right` and the answer have the matrices' own order."""
+        """Solve with a factor by `factor`; `right` and the result have the matrices' own order."""
         return np.asarray(band_solve(factor, right[self._order])[self._place])
 
     def _band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
@@ -124,7 +124,7 @@ class FactorFamily:
 
 
 def _lower_corner(band: FloatArray) -> FloatArray:
-    """Lower triangle of the last columns of a matrix in band storage, as a square matrix."""
+    """Return the lower triangle of the last columns of a matrix in band storage, as a square matrix."""
     size = band.shape[1]
     corner = np.zeros((size, size))
     for column in range(size):

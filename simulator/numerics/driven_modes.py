@@ -1,4 +1,4 @@
-"""Modes of a small dense system as the force that drives it sees them.
+"""Modes of a small dense system as seen by the force that drives it.
 
 A force sees of each mode its frequency and how far it yields, not its shape. Stiffness and mass are
 brought to the standard form ``U^-T M U^-1`` (``K = U^T U``) and to a tridiagonal matrix T (Householder,
@@ -31,7 +31,7 @@ SWEEPS = 60
 def driven_modes(
     stiffness: FloatArray, mass: FloatArray, load: float, steps: int
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Modes of a system driven at its last unknown.
+    """Return the modes of a system driven at its last unknown.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ def driven_modes(
     standard, _ = lapack.dsygst(mass.T, upper, itype=1, lower=0, overwrite_a=1)
     size = len(upper)
     # Less work space than LAPACK asks for means smaller blocks, which are faster at this size.
-    _, diagonal, beside, _, _ = lapack.dsytrd(standard, lower=0, lwork=8 * size, overwrite_a=1)
+    _, diagonal, off_diagonal, _, _ = lapack.dsytrd(standard, lower=0, lwork=8 * size, overwrite_a=1)
     scale = float(np.max(np.abs(diagonal)))
     eigenvalues = diagonal[size - steps :] / scale
-    beside = np.append(beside[size - steps :] / scale, 0.0)
+    off_diagonal = np.append(off_diagonal[size - steps :] / scale, 0.0)
     along = np.zeros(steps)
     along[-1] = 1.0
-    if not (math.isfinite(scale) and _tridiagonal_ql(eigenvalues, beside, along)):
+    if not (math.isfinite(scale) and _tridiagonal_ql(eigenvalues, off_diagonal, along)):
         raise np.linalg.LinAlgError("an eigenvalue of the reduced plate was not found")
     seen = eigenvalues > ROUNDING
     if not seen.any() or eigenvalues.min() < -ROUNDING:
@@ -82,7 +82,7 @@ def driven_modes(
 
 @compiled(nogil=True)
 def _tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
-    """Eigenvalues of a symmetric tridiagonal matrix, and a row of its eigenvectors.
+    """Return eigenvalues of a symmetric tridiagonal matrix, and a row of its eigenvectors.
 
     Implicit QL with Wilkinson's shift (Bowdler, Martin, Reinsch and Wilkinson 1968,
     doi:10.1007/BF02166692). It is exact for small eigenvalues where they stand first.

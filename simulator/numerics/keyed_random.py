@@ -1,4 +1,4 @@
-"""Random numbers that depend on what they are for and never on the order of calls."""
+"""Random numbers that depend on their purpose and never on the order of calls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simulator.numerics.seed_mixing import SeedWords
 
 
 class Purpose(IntEnum):
-    """What a stream of random numbers is for; the values are part of every seed's meaning."""
+    """Purpose of a stream of random numbers; the values are part of every seed's meaning."""
 
     THINNING = 1
     TEMPERATURE = 2
@@ -45,7 +45,7 @@ class Purpose(IntEnum):
 def generator(
     seed: int, purpose: Purpose, *, position: str = "", key: ShotKey | None = None
 ) -> np.random.Generator:
-    """Independent generator of one purpose, position and shot.
+    """Return an independent generator of one purpose, position and shot.
 
     Parameters
     ----------

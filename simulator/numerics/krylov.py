@@ -1,4 +1,4 @@
-"""Krylov spaces: what one force makes of a structure within a record.
+"""Krylov spaces: the response of a structure to one force within a record.
 
 The vectors ``x_0 = (K + sigma^2 M)^-1 b``, ``x_(j+1) = (K + sigma^2 M)^-1 M x_j`` (Lanczos, shifted and
 inverted) hold the response to the force b for times of some dozen ``1 / sigma``.
@@ -26,7 +26,7 @@ def lanczos(
     load: FloatArray,
     vectors: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Krylov space of the operator `solve` after `mass`, in which it is symmetric.
+    """Return the Krylov space of the operator `solve` after `mass`, in which it is symmetric.
 
     A vector is made orthogonal to the two before it; rounding brings the others back slowly, and only
     every few steps two of them are made orthogonal to all (periodic reorthogonalisation).

@@ -1,4 +1,4 @@
-"""Several numbers side by side in compiled code: one vector register, one shot in each lane.
+"""Vector registers in compiled code: one shot in each lane.
 
 LLVM vectorises loops only where it may reorder sums, and then the last digits depend on how many numbers
 it took together. Here the width is written down and every operation acts on each lane by itself, rounded
@@ -33,7 +33,7 @@ register_model: Any = numba_register_model
 
 
 class Lanes(types.Type):
-    """numba's type of a vector of float64."""
+    """Vector type of float64 for numba."""
 
     def __init__(self, width: int) -> None:
         self.width = width
@@ -53,8 +53,8 @@ def _vector(lanes: Lanes) -> ir.VectorType:
 
 
 def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
-    made: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
-    return made
+    intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
+    return intrinsic
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
@@ -64,7 +64,7 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any
 
 @_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
-    """`width` numbers of a contiguous array from `start` on."""
+    """Load `width` numbers of a contiguous array from `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -87,7 +87,7 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
-    """Put the same number in every lane."""
+    """Copy a number into every lane."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -108,8 +108,8 @@ def _one_width(given: Sequence[Any]) -> Lanes | None:
     return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
 
 
-def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
-    """Intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    """Return an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
         lanes = _one_width(given)
@@ -136,7 +136,7 @@ def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., A
     return _intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
 
 
-def _called(name: str) -> Callable[[Any, Any], Any]:
+def _call_of(name: str) -> Callable[[Any, Any], Any]:
     def emit(builder: Any, values: Any) -> Any:
         kind = values[0].type
         function_type = ir.FunctionType(kind, [kind] * len(values))
@@ -146,10 +146,10 @@ def _called(name: str) -> Callable[[Any, Any], Any]:
     return emit
 
 
-fma = _of_lanes(3, _called("llvm.fma"))
+fma = _lane_intrinsic(3, _call_of("llvm.fma"))
 """``a b + c``, rounded once."""
-sqrt = _of_lanes(1, _called("llvm.sqrt"))
-absolute = _of_lanes(1, _called("llvm.fabs"))
+sqrt = _lane_intrinsic(1, _call_of("llvm.sqrt"))
+absolute = _lane_intrinsic(1, _call_of("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
@@ -165,17 +165,17 @@ def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 
-positive = _of_lanes(1, _positive)
+positive = _lane_intrinsic(1, _positive)
 """``max(a, 0)``; 0 for what is not a number."""
-where_greater = _of_lanes(4, _where_greater)
+where_greater = _lane_intrinsic(4, _where_greater)
 """c in the lanes with a > b, d in the others."""
-unless_within = _of_lanes(4, _where_not_less_or_equal)
+unless_within = _lane_intrinsic(4, _where_not_less_or_equal)
 """d in the lanes with a <= b, c in the others, also where one of them is not a number."""
 
 
 @_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
-    """Whether every lane is greater than zero."""
+    """Return whether every lane is greater than zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         zero = ir.Constant(values[0].type, [0.0] * lanes.width)
@@ -188,7 +188,7 @@ def all_positive(typing: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
-    """One lane, its index a constant."""
+    """Return one lane, its index a constant."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.extract_element(values[0], ir.IntType(32)(index.literal_value))
@@ -197,7 +197,7 @@ def lane(typing: Any, lanes: Any, index: Any) -> Any:
 
 
 def _operator(symbol: Any, method: str) -> None:
-    """Give an operator to vectors, with a vector or a number on the other side."""
+    """Register an operator for vectors, with a vector or a number on the other side."""
 
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:
@@ -210,10 +210,10 @@ def _operator(symbol: Any, method: str) -> None:
 
     templates.infer_global(symbol)(_Template)
 
-    def lowered(context: Any, builder: Any, made: Any, values: Any) -> Any:
+    def lowered(context: Any, builder: Any, intrinsic: Any, values: Any) -> Any:
         wide = [
-            value if isinstance(one, Lanes) else _splat(builder, value, made.return_type)
-            for one, value in zip(made.args, values, strict=True)
+            value if isinstance(one, Lanes) else _splat(builder, value, intrinsic.return_type)
+            for one, value in zip(intrinsic.args, values, strict=True)
         ]
         return getattr(builder, method)(*wide)
 

@@ -1,4 +1,4 @@
-"""Machine code of the loops that numba compiles, kept on disk where that can be done.
+"""Machine code of the loops that numba compiles, cached on disk where possible.
 
 numba keeps it in `__pycache__` beside the loop's file, in the user's cache folder if that cannot be
 written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles anew in each process.
@@ -19,36 +19,36 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         try:
-            made: Callable[..., Any] = numba.njit(cache=True, **options)(function)
+            kernel: Callable[..., Any] = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no folder for the machine code can be written
-            made = numba.njit(**options)(function)
-        return made
+            kernel = numba.njit(**options)(function)
+        return kernel
 
     return decorate
 
 
 class _Compilations(event.Listener):
-    """Counts what is compiled for each other; loading what was kept is no such event."""
+    """Listener that counts nested compilations; loading from the cache is no such event."""
 
-    def __init__(self, tell: Callable[[bool], None]) -> None:
-        self._tell, self._depth = tell, 0
+    def __init__(self, report: Callable[[bool], None]) -> None:
+        self._report, self._depth = report, 0
 
     def on_start(self, event: object) -> None:
         self._depth += 1
         if self._depth == 1:
-            self._tell(True)
+            self._report(True)
 
     def on_end(self, event: object) -> None:
         self._depth -= 1
         if self._depth == 0:
-            self._tell(False)
+            self._report(False)
 
 
 @contextmanager
-def compilation_reported(tell: Callable[[bool], None]) -> Iterator[None]:
-    """Call ``tell`` with True when machine code begins to be made, with False when it is there.
+def compilation_reported(report: Callable[[bool], None]) -> Iterator[None]:
+    """Call ``report`` with True when a compilation starts, with False when it ends.
 
     It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.
     """
-    with event.install_listener("numba:compile", _Compilations(tell)):
+    with event.install_listener("numba:compile", _Compilations(report)):
         yield

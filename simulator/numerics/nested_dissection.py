@@ -1,4 +1,4 @@
-"""Cholesky factor of a sum of small dense matrices on a rectangular grid of cells, by nested dissection.
+"""Cholesky factor of a sum of small dense matrices on a grid of cells, by nested dissection.
 
 Each cell of the grid brings a dense symmetric matrix over the unknowns that it touches. The grid is cut
 into halves again and again. From the single cells upwards, unknowns that no other cell touches are
@@ -20,7 +20,7 @@ from simulator.numerics.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Front:
-    """One step of the elimination.
+    """Step of the elimination.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Front:
 
 
 def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
-    """Order of elimination; every front comes after its children.
+    """Return the order of elimination; every front comes after its children.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
 
 
 def _halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
-    """Cut along the line that leaves two halves most alike, across the longer side."""
+    """Cut along the line that leaves the most equal halves, across the longer side."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)
     along = places[:, int(extent[1] > extent[0])]
@@ -100,7 +100,7 @@ def _halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DissectedCholesky:
-    """Factor of one matrix; `solve` takes it to a right-hand side."""
+    """Factor of one matrix; `solve` applies it to a right-hand side."""
 
     fronts: list[Front]
     factors: list[tuple[FloatArray, FloatArray]]
@@ -120,7 +120,7 @@ class DissectedCholesky:
 
 
 def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> DissectedCholesky:
-    """Factorize the sum of what the cells bring.
+    """Factorize the sum of the cells' matrices.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
 def _eliminate(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Cholesky factor of the eliminated unknowns, its continuation below and the Schur complement."""
+    """Return the eliminated unknowns' Cholesky factor, its continuation below and the Schur complement."""
     below = np.asfortranarray(matrix[np.ix_(rest, done)])
     schur = matrix[np.ix_(rest, rest)]
     if not len(done):

@@ -1,4 +1,4 @@
-"""NumPy's normal float32 numbers of an SFC64 generator at a fraction of their cost.
+"""Normal float32 numbers of an SFC64 generator as NumPy's, at a fraction of their cost.
 
 NumPy reaches its generator through a pointer, number by number. Here the generator and the ziggurat of 256
 layers (Marsaglia and Tsang 2000, doi:10.18637/jss.v005.i08) are one loop. Numbers, and the state in which
@@ -27,23 +27,23 @@ Words = NDArray[np.uint64]
 
 
 def standard_normals(random: np.random.Generator, n: int) -> Table:
-    """Draw what ``random.standard_normal(n, dtype=np.float32)`` does; quickly from an SFC64."""
+    """Draw the numbers of ``random.standard_normal(n, dtype=np.float32)``; fast from an SFC64."""
     bits = random.bit_generator
     if not isinstance(bits, np.random.SFC64):
         return random.standard_normal(n, dtype=np.float32)
-    told: Any = bits.state
+    state: Any = bits.state
     words = np.empty(6, dtype=np.uint64)
-    words[:4], words[4], words[5] = told["state"]["state"], told["has_uint32"], told["uinteger"]
+    words[:4], words[4], words[5] = state["state"]["state"], state["has_uint32"], state["uinteger"]
     drawn = np.empty(n, dtype=np.float32)
     _draw(words, *_layers(), drawn)
-    told["state"]["state"], told["has_uint32"], told["uinteger"] = words[:4], int(words[4]), int(words[5])
-    bits.state = told
+    state["state"]["state"], state["has_uint32"], state["uinteger"] = words[:4], int(words[4]), int(words[5])
+    bits.state = state
     return drawn
 
 
 @cache
 def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
-    """Of each layer: steps wholly under the curve, a step's width with both signs, and the curve's height."""
+    """Return per layer the steps fully under the curve, a step's signed width and the curve's height."""
     area = LAST_EDGE * math.exp(-0.5 * LAST_EDGE**2) + math.sqrt(0.5 * math.pi) * math.erfc(
         LAST_EDGE / math.sqrt(2.0)
     )
@@ -62,7 +62,7 @@ def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
 
 @compiled(error_model="numpy")
 def _next_uint32(words: Words) -> Any:
-    """Half of what SFC64 gives: the lower one first, the upper one is kept."""
+    """Return half of an SFC64 output: the lower one first, the upper one is kept."""
     if words[4]:
         words[4] = np.uint64(0)
         return np.uint32(words[5])
@@ -77,7 +77,7 @@ def _next_uint32(words: Words) -> Any:
 
 @compiled(error_model="numpy")
 def _tail(words: Words, bits: np.uint32) -> Any:
-    """Draw a number beyond the last edge (Marsaglia 1964); one of the bits gives the sign."""
+    """Draw a number above the last edge (Marsaglia 1964); one of the bits is the sign."""
     while True:
         first = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         second = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
@@ -95,7 +95,7 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
     done = 0
     while done < size:
         if words[4] or done + 1 == size:
-            drawn[done] = _one(words, _next_uint32(words), inside, widths, heights)
+            drawn[done] = _next_number(words, _next_uint32(words), inside, widths, heights)
             done += 1
             continue
         # Two numbers of each word, which stays in registers, as long as all lie well inside their layers.
@@ -110,10 +110,10 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
             s1 = s2 + (s2 << np.uint64(3))
             s2 = ((s2 << np.uint64(24)) | (s2 >> np.uint64(40))) + given
             low, high = np.uint32(given & np.uint64(0xFFFFFFFF)), np.uint32(given >> np.uint64(32))
-            first, low_inside = _signed(low, inside, widths)
+            first, low_inside = _number_in_layer(low, inside, widths)
             if not low_inside:
                 break
-            second, high_inside = _signed(high, inside, widths)
+            second, high_inside = _number_in_layer(high, inside, widths)
             drawn[done] = first
             if not high_inside:
                 break
@@ -122,26 +122,28 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
         words[0], words[1], words[2], words[3], words[5] = s0, s1, s2, counter, np.uint64(high)
         if not low_inside:
             words[4] = np.uint64(1)
-            drawn[done] = _one(words, low, inside, widths, heights)
+            drawn[done] = _next_number(words, low, inside, widths, heights)
             done += 1
         elif not high_inside:
-            drawn[done + 1] = _one(words, high, inside, widths, heights)
+            drawn[done + 1] = _next_number(words, high, inside, widths, heights)
             done += 2
 
 
 @compiled(error_model="numpy")
-def _signed(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
-    """Read a number off 32 bits, and whether it lies under the curve wherever in its layer it is."""
+def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
+    """Return a number from 32 bits, and whether it is under the curve everywhere in its layer."""
     layer = bits & np.uint32(LAYERS - 1)
     place = bits >> np.uint32(9)
     return np.float32(place) * widths[bits & np.uint32(2 * LAYERS - 1)], place < inside[layer]
 
 
 @compiled(error_model="numpy")
-def _one(words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table) -> Any:
-    """Read a number off 32 bits, or off the next ones where it lies above the curve."""
+def _next_number(
+    words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
+) -> Any:
+    """Return a number from 32 bits, or from the next ones where it is above the curve."""
     while True:
-        x, under = _signed(bits, inside, widths)
+        x, under = _number_in_layer(bits, inside, widths)
         if under:
             return x
         layer = bits & np.uint32(LAYERS - 1)

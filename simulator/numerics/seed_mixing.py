@@ -1,4 +1,4 @@
-"""NumPy's SeedSequence at a fifth of its cost: the same words, hence the same streams.
+"""Seed words of NumPy's SeedSequence at a fifth of its cost: the same words, hence the same streams.
 
 Its mixing (O'Neill 2015, "Developing a seed_seq alternative"; `numpy.random.SeedSequence`) is a few dozen
 products of 32 bits, which NumPy does with checks of its warnings' state around them.
@@ -23,7 +23,7 @@ KEPT, MIXED_IN = np.uint32(0xCA01F9DD), np.uint32(0x4973F715)
 
 
 class SeedWords(ISeedSequence):
-    """What ``numpy.random.SeedSequence(words)`` gives to a generator; it has no children.
+    """Seed words as of ``numpy.random.SeedSequence(words)``; it has no children.
 
     Parameters
     ----------

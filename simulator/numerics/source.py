@@ -1,4 +1,4 @@
-"""The twin's own source as one digest: what is kept on disk was computed by one state of the code."""
+"""Digest of the twin's own source: cached arrays belong to one state of the code."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 @cache
 def source_digest() -> str:
-    """SHA-256 of every module of the simulator but the doubles, whose boards compute nothing of a shot.
+    """Return SHA-256 of every module of the simulator except the doubles, which compute no shot.
 
     Line ends do not count: an installed wheel and a checkout on Windows have the same digest.
     """

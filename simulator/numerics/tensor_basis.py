@@ -1,4 +1,4 @@
-"""Piecewise polynomials along one axis, from which tensor-product elements are made.
+"""Piecewise polynomials along one axis, for tensor-product elements.
 
 On each interval the functions are Lagrange's on the Gauss-Lobatto-Legendre points of its degree; the
 end points are shared, so that the functions are continuous. All integrals are exact.
@@ -21,7 +21,7 @@ METRIC_POINTS = 20_001
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Axis:
-    """Intervals along an axis and the degree of each.
+    """Axis of intervals and the degree of each.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class Axis:
 
     @property
     def first(self) -> IntArray:
-        """Number of the first node of each interval, and of the last node of all."""
+        """Return the number of the first node of each interval, and of the last node of all."""
         return np.concatenate(([0], np.cumsum(self.degrees)))
 
     @property
     def nodes_m(self) -> FloatArray:
-        """All nodes, rising."""
+        """Return all nodes, rising."""
         pieces = [self.breaks_m[:1]]
         for start, end, degree in zip(self.breaks_m, self.breaks_m[1:], self.degrees, strict=False):
             pieces.append(start + 0.5 * (lobatto_points(degree)[1:] + 1.0) * (end - start))
@@ -49,18 +49,18 @@ class Axis:
         return np.concatenate(pieces)
 
     def nodes_of(self, interval: int) -> IntArray:
-        """Nodes of one interval, both ends included."""
+        """Return the nodes of one interval, both ends included."""
         first = self.first
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrals ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
+        """Return ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
     def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Sum the same integrals over some intervals; three arrays over all nodes."""
+        """Return the sum of the same integrals over some intervals; three arrays over all nodes."""
         count = int(self.first[-1]) + 1
         sums = np.zeros((3, count, count))
         for interval in intervals:
@@ -70,7 +70,7 @@ class Axis:
         return sums[0], sums[1], sums[2]
 
     def values(self, at_m: FloatArray) -> FloatArray:
-        """All functions at some points, shape (points, nodes)."""
+        """Return all functions at some points, shape (points, nodes)."""
         found = np.zeros((len(at_m), int(self.first[-1]) + 1))
         interval = np.clip(np.searchsorted(self.breaks_m, at_m, side="right") - 1, 0, len(self.degrees) - 1)
         for k in np.unique(interval):
@@ -83,7 +83,7 @@ class Axis:
 
 @cache
 def lobatto_points(degree: int) -> FloatArray:
-    """Gauss-Lobatto-Legendre points on -1..1: both ends and the extrema of Legendre's polynomial."""
+    """Return Gauss-Lobatto-Legendre points on -1..1: both ends and the extrema of Legendre's polynomial."""
     top = np.zeros(degree + 1)
     top[degree] = 1.0
     inner = np.sort(legendre.legroots(legendre.legder(top)).real)
@@ -91,7 +91,10 @@ def lobatto_points(degree: int) -> FloatArray:
 
 
 def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lagrange's polynomials on the Lobatto points and their derivatives, shape (points, degree + 1)."""
+    """Return Lagrange's polynomials on the Lobatto points and their derivatives.
+
+    Shape (points, degree + 1).
+    """
     inverse = np.linalg.inv(legendre.legvander(lobatto_points(degree), degree))
     slopes = [legendre.legval(at, legendre.legder(unit)) for unit in np.eye(degree + 1)]
     return legendre.legvander(at, degree) @ inverse, np.stack(slopes, axis=-1) @ inverse
@@ -113,7 +116,7 @@ def graded_breaks_m(
     largest_m: float,
     stops_m: Sequence[float],
 ) -> FloatArray:
-    """Intervals from 0 to `length_m` that are small at `features` and grow linearly away from them.
+    """Return intervals from 0 to `length_m` that are small at `features` and grow linearly away from them.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Every knob of the twin with its unit, bounds and meaning; no computation."""
+"""Parameters of the twin, each with its unit, bounds and meaning; no computation."""

@@ -1,4 +1,4 @@
-"""Parameters of the chain: each with its unit, its bounds and what it means, written once."""
+"""Parameters of the chain: each with its unit, its bounds and its meaning, written once."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class SphereParameters:
 
     @property
     def bodies(self) -> range:
-        """The bodies described."""
+        """Return the described bodies."""
         return range(self.body, 1 + (self.body if self.last_body is None else self.last_body))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """One body as it is: the sensor disk's radius of curvature is infinite."""
+    """Resolved body: the sensor disk's radius of curvature is infinite."""
 
     radius_m: float
     mass_kg: float
@@ -120,11 +120,11 @@ class ChainParameters:
 
     @property
     def bodies(self) -> int:
-        """How many bodies, the striker and the sensor counted."""
+        """Return the number of bodies, the striker and the sensor counted."""
         return self.spheres_above + 1 + self.spheres_below
 
     def body(self, index: int) -> Body:
-        """One body, 0 the striker, with Young's modulus at the chain's temperature."""
+        """Return one body, 0 the striker, with Young's modulus at the chain's temperature."""
         radius, mass = self.radius_m, self.mass_kg
         modulus, poisson = self.youngs_modulus_pa, self.poisson_ratio
         is_disk = self.sensor == "disk" and index == self.spheres_above

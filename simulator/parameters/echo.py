@@ -1,4 +1,4 @@
-"""Parameters of the ultrasonic probe, its receiver, the far wall as it scatters, and the liquid behind it.
+"""Parameters of the ultrasonic probe, its receiver, the scattering far wall, and the liquid behind it.
 
 The defaults are the paper's experiment as far as it can be known; what each rests on stands beside it. A
 smooth wall under the straight path of equation 17 has `element_separation_m`, `roughness_fraction`,

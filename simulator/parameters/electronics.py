@@ -25,7 +25,10 @@ class NoiseParameters:
 
 @bounded
 class SensorParameters:
-    """PZT disk that turns the chain's dynamic force into volts; it does not see the static preload."""
+    """Sensor: a PZT disk that turns the chain's dynamic force into volts.
+
+    It does not see the static preload.
+    """
 
     sensitivity_v_per_n: Annotated[float, Gt(0.0), Le(100.0)] = 0.0192
     """Sensitivity without tilt (assumption: at the mean tilt 150 N fill half the range)."""

@@ -1,4 +1,4 @@
-"""What disturbs a real rig without anything being wrong, at four levels: `twin.nuisance`.
+"""Environmental and operational variability of a healthy rig at four levels: `twin.nuisance`.
 
 ``none`` is the twin of `ScatterParameters`, `DriftParameters` and `NoiseParameters` alone; a level comes on
 top of them. No real record was at hand: every size is an assumption unless a source is named beside it,
@@ -26,7 +26,7 @@ LONGEST_MEMORY = 0.8
 
 @bounded
 class SourceParameters:
-    """One source of scatter, in four parts that add up; the unit is the source's.
+    """Source of scatter, in four parts that add up; the unit is the source's.
 
     With every set the source moves on as an AR(1) process, with every shot anew; it wanders slowly; and
     with every re-seat it takes another place, above or below the nominal one, and stays there.
@@ -49,7 +49,7 @@ SOURCE_OF_NOTHING = SourceParameters()
 
 @bounded
 class NuisanceParameters:
-    """Sizes of all nuisances of one level."""
+    """Sizes of all sources of one level."""
 
     # Sources of scatter. Logarithms of a factor but for the tilt; independent for each contact and bead.
     contact_stiffness: SourceParameters = SOURCE_OF_NOTHING

@@ -1,4 +1,4 @@
-"""Parameters of the twin's experiment: what happens to wall, transducer and electronics, and when.
+"""Parameters of the twin's test: changes of wall, transducer and electronics over time.
 
 `chain` and `plate` say what the specimen is; this module says how it corrodes, how shots scatter and
 how a force becomes counts. Where the paper gives a number it is named; everything else is marked
@@ -29,7 +29,7 @@ TWIN_VERSION = "1"
 
 @bounded
 class ThinningParameters:
-    """How one position loses its wall; the defaults are a pristine position."""
+    """Wall loss of one position; the defaults are a pristine position."""
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which thinning begins."""
@@ -86,7 +86,7 @@ class ThinningParameters:
 
 @bounded
 class ScatterParameters:
-    """How one shot differs from the next although nothing has changed.
+    """Scatter between shots without any change.
 
     A set-level part (the chain settles anew before each set) and a part of each shot. All figures
     are assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about
@@ -109,7 +109,7 @@ class ScatterParameters:
 
 @bounded
 class DriftParameters:
-    """Temperature of the room and the two ways it reaches a record.
+    """Temperature of the room and its two effects on a record.
 
     It changes the height the striker really falls and the PZT's sensitivity, nothing else, so a
     stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions. With
@@ -163,7 +163,7 @@ PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
 
 @bounded
 class TwinParameters:
-    """Everything the twin adds to the model of the specimen."""
+    """Parameters of the twin beyond the model of the specimen."""
 
     seed: Annotated[int, Ge(0), Lt(2**32)] = 1
     """The same seed gives the same numbers, whatever the order of the shots."""

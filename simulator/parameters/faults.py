@@ -1,4 +1,4 @@
-"""Faults of the rig that the twin may show, a table for each: none of them acts by default.
+"""Faults of the rig that the twin can simulate, one table each; none is active by default.
 
 Each begins at ``onset_h``. Random faults then have a probability a shot or a rate; gradual ones reach their
 full size ``ramp_h`` later (0: at once). All sizes are assumptions of whoever writes them: the paper
@@ -17,7 +17,7 @@ from hardware_drivers.bounds import bounded, check_pair
 
 @bounded
 class _Fault:
-    """What each has."""
+    """Keys of every fault."""
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -25,7 +25,7 @@ class _Fault:
 
 @bounded
 class _GradualFault(_Fault):
-    """What each has that grows."""
+    """Keys of every gradual fault."""
 
     ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hours until it has its full size; 0: at once."""

@@ -1,4 +1,4 @@
-"""Parameters of plate and corrosion: each with its unit, its bounds and what it means, written once."""
+"""Parameters of plate and corrosion: each with its unit, its bounds and its meaning, written once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_FURTHER_PATCHES = 32
 
 @bounded
 class LiquidParameters:
-    """Liquid that stands on one face of the whole plate, between side walls over its edges."""
+    """Liquid on one face of the complete plate, between side walls over its edges."""
 
     density_kg_per_m3: Annotated[float, Gt(0.0), Le(2e4)] = 1023.0
     """Density (handbook value of a 3.5 % NaCl solution at 20 C; the paper's plate stands in one)."""
@@ -117,7 +117,7 @@ class PlateParameters:
 
     @property
     def warm_youngs_modulus_pa(self) -> float:
-        """Young's modulus at the plate's temperature."""
+        """Return Young's modulus at the plate's temperature."""
         return youngs_modulus_at_pa(
             self.youngs_modulus_pa, self.youngs_modulus_change_per_k, self.temperature_c
         )
@@ -175,7 +175,7 @@ class PatchParameters:
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Half the patch's extent along x and y."""
+        """Return half the patch's extent along x and y."""
         return 0.5 * self.size_m, 0.5 * (self.size_m if self.size_y_m is None else self.size_y_m)
 
 
@@ -214,11 +214,11 @@ class CorrosionParameters:
 
     @property
     def patches(self) -> tuple[PatchParameters, ...]:
-        """All patches, the first one first."""
+        """Return all patches, the first one first."""
         first = {part.name: getattr(self, part.name) for part in fields(PatchParameters)}
         return PatchParameters(**first), *self.further
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
-        """Half the first patch's extent along x and y."""
+        """Return half the first patch's extent along x and y."""
         return self.patches[0].half_sizes_m

@@ -1,1 +1,1 @@
-"""Plates as the chain feels them: which model (`models`), and modes of a reduced one (`reduced`)."""
+"""Plate models for the chain: the choice of a model (`models`), and modes of a reduced one (`reduced`)."""

@@ -1,4 +1,4 @@
-"""Which model of the plate a specimen asks for, as the chain feels it: modes at any depth of the patch."""
+"""Plate model of a specimen: modes at any depth of the patch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
-from simulator.numerics.array_cache import content_key, kept_arrays
+from simulator.numerics.array_cache import cached_arrays, content_key
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -23,17 +23,17 @@ DEPTHS_KNOWN = 256
 
 
 class ModalPlate(Protocol):
-    """A finite plate under the chain."""
+    """Finite plate under the chain."""
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """All modes the model knows with the patch thinned by `depth_fraction`."""
+        """Return all modes of the model with the patch thinned by `depth_fraction`."""
         ...
 
 
 def modal_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, cache_folder: Path | None
 ) -> ModalPlate | None:
-    """Make the plate of `plate.model` ready; None for an analytic anchor, which has no modes.
+    """Prepare the plate of `plate.model`; None for an analytic reference, which has no modes.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ def modal_plate(
     if plate.model == "mindlin":
         return reduced_plate(plate, corrosion, cache_folder)
     if plate.model == "solid":
-        return KeptSolid(plate, corrosion, cache_folder)
+        return CachedSolid(plate, corrosion, cache_folder)
     return None
 
 
-class KeptSolid:
-    """Solid plate whose modes are computed for each depth once, and kept on disk.
+class CachedSolid:
+    """Solid plate whose modes are computed once per depth, and cached on disk.
 
     With `plate.solid.one_basis` what is computed and kept is a basis for all depths.
 
@@ -82,7 +82,7 @@ class KeptSolid:
         self._lock = threading.Lock()
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Modes with the patch thinned by `depth_fraction`."""
+        """Return modes with the patch thinned by `depth_fraction`."""
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:
@@ -108,7 +108,7 @@ class KeptSolid:
                 return asdict(solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
-        found = kept_arrays(self._folder, content_key(described), compute)
+        found = cached_arrays(self._folder, content_key(described), compute)
         residual_m_per_n = float(found.pop("residual_compliance_m_per_n"))
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
@@ -119,4 +119,4 @@ class KeptSolid:
 
         footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
         described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
-        return family_of(kept_arrays(self._folder, content_key(described), compute))
+        return family_of(cached_arrays(self._folder, content_key(described), compute))

@@ -14,13 +14,13 @@ ANGULAR_POINTS = 48
 
 
 def gauss(count: int, end: float) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre points and weights on the interval from 0 to `end`."""
+    """Return Gauss-Legendre points and weights on the interval from 0 to `end`."""
     points, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * end * (points + 1.0), 0.5 * end * weights
 
 
 def hertz_points(radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points over a quarter of the circle and the pressure's share at each: x, y in m, share.
+    """Return points over a quarter of the circle and the pressure's share at each: x, y in m, share.
 
     With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
     in c and in the angle carry the pressure.

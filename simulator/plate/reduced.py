@@ -1,4 +1,4 @@
-"""A plate projected onto a basis: its modes at any depth, whatever model it was reduced from."""
+"""Plate projected onto a basis: its modes at any depth, for any original model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UNSEEN_FRACTION = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlateModes:
-    """Modes of the plate at one depth, as the chain feels them.
+    """Modes of the plate at one depth, for the chain.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class PlateModes:
 
     @property
     def static_compliance_m_per_n(self) -> float:
-        """Deflection under a static unit force."""
+        """Return the deflection under a static unit force."""
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
     def of_modulus(self, factor: float) -> PlateModes:
-        """Modes of the same plate with `factor` times the Young's modulus: its stiffness goes with it."""
+        """Return the modes with `factor` times the Young's modulus, to which stiffness is proportional."""
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
             participation=self.participation,
@@ -66,12 +66,13 @@ class PlateModes:
         """
         flexibility = (self.participation / self.omega_rad_per_s) ** 2
         seen = flexibility > UNSEEN_FRACTION * flexibility.sum()
-        kept = seen & (self.omega_rad_per_s <= omega_rad_per_s)
-        kept &= np.cumsum(self.participation**2) <= yielding_per_kg
+        is_strong = seen & (self.omega_rad_per_s <= omega_rad_per_s)
+        is_strong &= np.cumsum(self.participation**2) <= yielding_per_kg
         return PlateModes(
-            omega_rad_per_s=self.omega_rad_per_s[kept],
-            participation=self.participation[kept],
-            residual_compliance_m_per_n=self.residual_compliance_m_per_n + float(flexibility[~kept].sum()),
+            omega_rad_per_s=self.omega_rad_per_s[is_strong],
+            participation=self.participation[is_strong],
+            residual_compliance_m_per_n=self.residual_compliance_m_per_n
+            + float(flexibility[~is_strong].sum()),
         )
 
 
@@ -93,7 +94,7 @@ class ReducedPlate:
     load: FloatArray
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Modes of the reduced plate with the patch thinned by `depth_fraction`."""
+        """Return modes of the reduced plate with the patch thinned by `depth_fraction`."""
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
@@ -106,7 +107,7 @@ class ReducedPlate:
 
 
 def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) -> FloatArray:
-    """Basis of what the rows of `vectors` span but for the weakest directions.
+    """Return a basis of the span of `vectors`' rows without the weakest directions.
 
     Parameters
     ----------
@@ -132,5 +133,5 @@ def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) 
         start += len(columns)
     mixing = linalg.block_diag(*alike)
     strength, directions = linalg.eigh(mixing.T @ gram @ mixing, check_finite=False)
-    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
-    return np.asarray(mixing @ (directions[:, kept] / np.sqrt(strength[kept])))
+    is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
+    return np.asarray(mixing @ (directions[:, is_strong] / np.sqrt(strength[is_strong])))

@@ -1,1 +1,1 @@
-"""A strike: chain and plate integrated together. What enters: time integration and what it needs."""
+"""Strike: time integration of chain and plate together."""

@@ -1,4 +1,4 @@
-"""The time loop of chain and plate, compiled.
+"""Compiled time loop of chain and plate.
 
 Unknowns are the displacements u_i from the static equilibrium and, for every contact, the impulse
 
@@ -62,7 +62,7 @@ from simulator.numerics.lanes import (
     where_greater,
 )
 from simulator.numerics.machine_code import compiled
-from simulator.shot.registers import Bodies, Chains, Contact, Found, Last, Propagator, Strikes
+from simulator.shot.registers import Bodies, Chains, Contact, LastBody, Propagator, Results, Strikes
 
 FloatArray = NDArray[np.float64]
 
@@ -96,8 +96,8 @@ _compiled = compiled(nogil=True, error_model="numpy")
 
 
 @_compiled
-def _raised(overlap: Any, law: int) -> Any:
-    """``overlap^(1 + p)``, by square roots only."""
+def _power_of_overlap(overlap: Any, law: int) -> Any:
+    """Return ``overlap^(1 + p)``, by square roots only."""
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -109,8 +109,8 @@ def _raised(overlap: Any, law: int) -> Any:
 
 
 @_compiled
-def _raised_slope(overlap: Any, law: int) -> Any:
-    """Differentiate `_raised` by the overlap."""
+def _slope_of_power(overlap: Any, law: int) -> Any:
+    """Return the derivative of `_power_of_overlap` by the overlap."""
     if law == 0:
         return overlap * 0.0 + 1.0
     root = sqrt(overlap)
@@ -127,7 +127,7 @@ _step = compiled(inline="always", nogil=True, error_model="numpy")
 
 @_step
 def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
-    """Put all still but the striker: before first touch it fell freely, an exact history."""
+    """Return all bodies at rest except the striker: before first touch it fell freely, an exact history."""
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
     overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
@@ -172,7 +172,7 @@ def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodi
 def _contact(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Weights of what acts on the plate's contact within a step."""
+    """Return the weights of everything that acts on the plate's contact within a step."""
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -209,7 +209,7 @@ def _contact(
         dashpot=dashpot,
         static_force=chains.static_force[last],
         static_overlap=static_overlap,
-        static_dashpot=dashpot * _raised(static_overlap, law),
+        static_dashpot=dashpot * _power_of_overlap(static_overlap, law),
         per_mass=per_mass,
         compliance=compliance,
         mobility=specimen.mobility_m_per_n_s,
@@ -229,7 +229,7 @@ def _contact(
 
 
 @_step
-def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> Last:
+def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
     """Return the last body under its static load."""
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
@@ -237,7 +237,7 @@ def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> La
         held[k] = 0.4 * chains.stiffness[row + k] * chains.static_overlap[row + k] ** 2.5
         held[k] += 0.5 * contact.compliance * contact.static_force**2
     overlap = zero + contact.static_overlap
-    return Last(
+    return LastBody(
         u=zero,
         v=(zero, zero, zero, zero),
         f=(zero, zero, zero),
@@ -254,7 +254,7 @@ def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> La
 
 @_step
 def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Energy of all contacts and of the striker, one shot after the other."""
+    """Return the energy of all contacts and of the striker, one shot after the other."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -267,7 +267,7 @@ def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width:
 
 
 @_step
-def _struck_twice(
+def _strike_twice(
     bodies: Bodies,
     chains: Chains,
     launch_speed: FloatArray,
@@ -277,7 +277,7 @@ def _struck_twice(
     step: float,
     speed: float,
 ) -> float:
-    """Let the striker of lane `k` touch the body below it again at step `n`; returns the energy this gives.
+    """Bounce the striker of lane `k` onto the body below at step `n`; return the added energy.
 
     It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
     the body below.
@@ -301,10 +301,10 @@ def _struck_twice(
 
 
 @_step
-def _turned(
+def _advance_mode(
     bent: Any, gain: Any, m: Any, i_bends: Any, i_gains: Any, s_bends: Any, s_gains: Any, i0: Any, s0: Any
 ) -> Any:
-    """Deflection without what I and S add, and the state after a step with it.
+    """Return the deflection without the share of I and S, and the state after a step with it.
 
     What the last step gave is added at the end: nothing else needs to wait for its contact.
     """
@@ -314,8 +314,8 @@ def _turned(
 
 
 @_step
-def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
-    """Advance the modes of a plate, eight of one shot at a time; the deflections of each shot summed.
+def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
+    """Advance the modes of a plate, eight of one shot at a time; return the summed deflections of each shot.
 
     The sums lack what I and S add.
     """
@@ -327,12 +327,12 @@ def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: 
         i_bends, i_gains = load(bank, k + BLOCK, BLOCK), load(bank, k + 2 * BLOCK, BLOCK)
         s_bends, s_gains = load(bank, k + 3 * BLOCK, BLOCK), load(bank, k + 4 * BLOCK, BLOCK)
         bent, gain = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
-        seen, bent, gain = _turned(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i0, s0)
+        seen, bent, gain = _advance_mode(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i0, s0)
         total = total + seen
         store(y, m, bent)
         store(y, m + BLOCK, gain)
         bent, gain = load(y, m + 2 * BLOCK, BLOCK), load(y, m + 3 * BLOCK, BLOCK)
-        seen, bent, gain = _turned(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i1, s1)
+        seen, bent, gain = _advance_mode(bent, gain, turn, i_bends, i_gains, s_bends, s_gains, i1, s1)
         other = other + seen
         store(y, m + 2 * BLOCK, bent)
         store(y, m + 3 * BLOCK, gain)
@@ -341,7 +341,7 @@ def _turn_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: 
 
 @_step
 def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
-    """Leave the sum over eight modes of each of two shots where `_sum_of_eight` adds nothing to it."""
+    """Store the sum over eight modes of two shots so that `_sum_of_eight` adds nothing to it."""
     n = 2 * BLOCK
     store(sums, n, total)
     store(sums, n + BLOCK, other)
@@ -352,13 +352,15 @@ def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
 
 
 @_step
-def _turn_modes_of_many(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> None:
-    """Do the same for shots side by side, one mode of all at a time; sums of every eighth mode."""
+def _advance_modes_of_many(
+    y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
+) -> None:
+    """Advance the modes of shots side by side, one mode of all at a time; sums of every eighth mode."""
     for j in range(BLOCK):
         total = broadcast(0.0, width)
         for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
             k, m = b * BANK_ROWS * BLOCK + j, 2 * (b * BLOCK + j) * width
-            seen, bent, gain = _turned(
+            seen, bent, gain = _advance_mode(
                 load(y, m, width),
                 load(y, m + width, width),
                 bank[k],
@@ -384,7 +386,7 @@ def _sum_of_eight(sums: FloatArray, width: int) -> Any:
 
 
 @_step
-def _predict_places(bodies: Bodies, last: Last, row_of_last: int, size: int, h24: float) -> None:
+def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
     for k in range(0, size, BLOCK):
         past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
         past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
@@ -396,7 +398,7 @@ def _predict_places(bodies: Bodies, last: Last, row_of_last: int, size: int, h24
 
 @_step
 def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
-    """Find what every body gets from above, from the predicted overlaps; `striker`: what moves that one."""
+    """Compute impulses on every body from the predicted overlaps; `striker`: what moves that one."""
     store(bodies.given, 0, striker)
     for k in range(0, size, BLOCK):
         q = load(bodies.static_overlap, k, BLOCK)
@@ -405,7 +407,9 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
         past = fma(load(bodies.f1, k, BLOCK), -5.0, load(bodies.f2, k, BLOCK))
         past = fma(load(bodies.f0, k, BLOCK), 19.0, past)
         given = fma(fma(f, 9.0, past), h24, load(bodies.impulse, k, BLOCK))
-        given = fma(load(bodies.dashpot, k, BLOCK), _raised(p, law) - _raised(q, law), given)
+        given = fma(
+            load(bodies.dashpot, k, BLOCK), _power_of_overlap(p, law) - _power_of_overlap(q, law), given
+        )
         store(bodies.given, k + width, given)
 
 
@@ -425,7 +429,7 @@ def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
 
 
 @_step
-def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: int, linear: bool) -> Any:
+def _root_of_overlap(d_free: Any, last: LastBody, contact: Contact, zero: Any, law: int, linear: bool) -> Any:
     """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for the square root of p; zero where d_free is negative.
 
     Two steps with the slope where the last three overlaps point; that slope waits for nothing.
@@ -436,7 +440,7 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
     if linear:
         slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
     else:
-        slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, law)) * root
+        slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _slope_of_power(p, law)) * root
     per_slope = 1.0 / slope
     change = zero
     for _ in range(2):
@@ -444,7 +448,7 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
         if linear:
             change = (d_free - fma(root, soft, zero + (1.0 + drag)) * p) * per_slope
         else:
-            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, law)
+            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _power_of_overlap(p, law)
             change = miss * per_slope
         root = root + change
     # Newton's method where that has not converged or, after a touch, had no start: from the overlap that
@@ -460,8 +464,8 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
             miss = d_free - fma(root, soft, zero + (1.0 + drag)) * p
             slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
         else:
-            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, law)
-            slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, law)) * root
+            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _power_of_overlap(p, law)
+            slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _slope_of_power(p, law)) * root
         change = miss / slope
         root = where_greater(going, zero, root + change, root)
         going = where_greater(absolute(change), NEWTON_TOLERANCE * root, going, zero)
@@ -470,9 +474,9 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
 
 @_step
 def _press_plate(
-    last: Last, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
-) -> Last:
-    """Solve the plate's contact and move the last body; `above`: what this gets from the contact above."""
+    last: LastBody, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
+) -> LastBody:
+    """Solve the plate's contact and move the last body; `above`: its impulse from the contact above."""
     h24 = contact.step / 24.0
     h38 = 9.0 * h24
     n_plate, s_plate, per_mass = contact.static_force, contact.static_dashpot, contact.per_mass
@@ -488,7 +492,7 @@ def _press_plate(
     p = root * root
     hertz = contact.stiffness * p * root
     d = where_greater(d_free, zero, p, d_free)
-    s = contact.dashpot * _raised(p, law) - s_plate
+    s = contact.dashpot * _power_of_overlap(p, law) - s_plate
     total = known + h38 * hertz + s
     v = (above - total) * per_mass
     f = hertz - n_plate
@@ -497,7 +501,7 @@ def _press_plate(
     stored = where_greater(p, zero, stored, zero)
     stretch = d + contact.compliance * force
     dissipated = _dissipated_at_plate(last, contact, p, s, total, stretch, stored, zero)
-    return Last(
+    return LastBody(
         u=fma(fma(v, 9.0, past_v), h24, last.u),
         v=(v, last.v[0], last.v[1], last.v[2]),
         f=(f, last.f[0], last.f[1]),
@@ -514,9 +518,9 @@ def _press_plate(
 
 @_step
 def _dissipated_at_plate(
-    last: Last, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
+    last: LastBody, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
-    """Book what the plate's contact and, at its release, the cut modes lose in a step."""
+    """Add the losses of a step in the plate's contact and, at its release, in the cut modes."""
     impulse = total - last.total
     # Touching for the part of the step in which `stretch` is positive.
     part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
@@ -530,8 +534,8 @@ def _dissipated_at_plate(
 
 
 @_step
-def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
-    """Correct the forces inside the chain and their impulses, and book what the dashpots take."""
+def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
+    """Correct the forces inside the chain and their impulses, and add the dashpots' losses."""
     for k in range(0, size, BLOCK):
         d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
         d = d + load(bodies.static_overlap, k, BLOCK)
@@ -544,7 +548,7 @@ def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None
         store(bodies.f2, k, f1)
         store(bodies.f1, k, f0)
         store(bodies.f0, k, f)
-        taken = _raised(p, law) - _raised(load(bodies.overlap, k, BLOCK), law)
+        taken = _power_of_overlap(p, law) - _power_of_overlap(load(bodies.overlap, k, BLOCK), law)
         taken = taken * load(bodies.dashpot, k, BLOCK)
         taken = fma(taken, d - load(bodies.gap, k, BLOCK), load(bodies.dissipated, k, BLOCK))
         store(bodies.dissipated, k, taken)
@@ -554,9 +558,16 @@ def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None
 
 @_step
 def _force(
-    i: int, bodies: Bodies, last: Last, contact: Contact, chains: Chains, closing: Any, width: int, law: int
+    i: int,
+    bodies: Bodies,
+    last: LastBody,
+    contact: Contact,
+    chains: Chains,
+    closing: Any,
+    width: int,
+    law: int,
 ) -> Any:
-    """Force of contact i; `closing`: rate at which the one with the plate is pressed."""
+    """Return the force of contact i; `closing`: rate at which the one with the plate is pressed."""
     if i < chains.mass.shape[0] - 1:
         p = load(bodies.overlap, i * width, width)
         rate = load(bodies.v0, i * width, width) - load(bodies.v0, (i + 1) * width, width)
@@ -565,14 +576,14 @@ def _force(
         p = last.overlap
         rate = closing
         hertz = last.f[0] + contact.static_force
-    dashpot = load(chains.dashpot, i * width, width) * _raised_slope(p, law) * rate
+    dashpot = load(chains.dashpot, i * width, width) * _slope_of_power(p, law) * rate
     zero = broadcast(0.0, width)
     return where_greater(p, zero, hertz + dashpot, zero)
 
 
 @_step
-def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chains, width: int) -> Any:
-    """Energy of chain and contacts, and what left them, but for the modes of the plate."""
+def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
+    """Return energy and losses of chain and contacts, without the modes of the plate."""
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):
@@ -591,7 +602,7 @@ def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chai
 
 
 @_step
-def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
+def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i, s = last.i, last.s[0]
     of_first = lane(i[0], 0), lane(i[1], 0), lane(i[2], 0), lane(s, 0)
@@ -622,7 +633,7 @@ def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, l
 
 @_step
 def _energy_of_modes_of_many(
-    y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int
+    y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
     acting = last.i[0], last.i[1], last.i[2], last.s[0]
     for j in range(BLOCK):
@@ -651,7 +662,7 @@ def _energy_of_modes_of_many(
 
 @_step
 def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
-    """Energy of a mode under I now, one and two steps ago and S now."""
+    """Return the energy of a mode under I now, one and two steps ago and S now."""
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
     speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))
@@ -675,8 +686,8 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
     interval
         The energy balance is drawn up every so many steps and at the end.
     """
-    made: Callable[..., None] = _compiled(_time_loop(width, linear))
-    return made
+    time_loop: Callable[..., None] = _compiled(_time_loop(width, linear))
+    return time_loop
 
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
@@ -687,7 +698,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         law_of_damping: int,
         step: float,
         interval: int,
-        found: Found,
+        found: Results,
     ) -> None:
         law = 0 if LINEAR else law_of_damping  # known while compiling where it is linear
         last_body = chains.mass.shape[0] - 1
@@ -715,13 +726,13 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             for k in range(W):
                 if n - 1 == strikes.second_step[k]:
                     second_speed = strikes.second_speed[k]
-                    gained = _struck_twice(bodies, chains, launch_speed, n - 1, k, W, step, second_speed)
+                    gained = _strike_twice(bodies, chains, launch_speed, n - 1, k, W, step, second_speed)
                     given_energy[k] += gained
 
             if W == NARROWEST:
-                _turn_modes_of_two(y, sums, bank, last)
+                _advance_modes_of_two(y, sums, bank, last)
             else:
-                _turn_modes_of_many(y, sums, bank, last, W)
+                _advance_modes_of_many(y, sums, bank, last, W)
             w_free = fma(last.i[1], contact.w_per_earlier_i, _sum_of_eight(sums, W))
             w_free = fma(last.s[0], contact.w_per_last_s, w_free)
             w_free = fma(last.i[0], contact.w_per_last_i, w_free)
@@ -737,7 +748,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             store(bodies.v0, last_body * W, last.v[0])
             turn = where_greater(last.f[0], largest, zero + float(n), turn)
             largest = where_greater(last.f[0], largest, last.f[0], largest)
-            _settle(bodies, size, W, h24, law)
+            _correct_forces(bodies, size, W, h24, law)
 
             # The plate's speed is not known: its contact closes at the rate of the last four d.
             closing = 11.0 * last.d[0] - 18.0 * last.d[1] + 9.0 * last.d[2] - 2.0 * before.d[2]

@@ -1,4 +1,4 @@
-"""Weights with which the time loop propagates the modes of a plate exactly under interpolated impulses."""
+"""Weights of the time loop for exact propagation of a plate's modes under interpolated impulses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MANY_POINTS = 24
 
 
 def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
-    """Bank of weights for the modes of a plate, float64, shape (n_blocks * BANK_ROWS * BLOCK,).
+    """Return the weights for the modes of a plate, float64, shape (n_blocks * BANK_ROWS * BLOCK,).
 
     A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
     ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S one, two and three steps ago; what
@@ -59,7 +59,7 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
 
 @cache
 def _gauss_rule(points: int) -> tuple[FloatArray, FloatArray]:
-    """How far the points are from the step's end, and the weight that each gives to the six values.
+    """Return each point's distance from the step's end, and its weights of the six values.
 
     These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with
     tau in steps from the step's start.

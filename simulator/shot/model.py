@@ -1,4 +1,4 @@
-"""A shot: chain and plate integrated together from the striker's first touch.
+"""Shot: chain and plate integrated together from the striker's first touch.
 
 `ShotModel` is prepared once for a transducer, a plate and an outline of the patch; each shot may then
 have its own depth, drop height and tilt. Shots of one model can be computed in several threads, and many
@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware_drivers.bounds import check_values
-from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, struck_again
+from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, with_other_strike
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
@@ -70,7 +70,7 @@ DEPTHS_KEPT = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """One strike; what is None is that of the model's parameters.
+    """Strike; a value of None is that of the model's parameters.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class ShotModel:
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
-        """Another chain on the same plate; a plate's reduction takes seconds, so it is shared.
+        """Return another chain on the same plate, whose reduction is shared since it takes seconds.
 
         A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
         set. It has a step of its own where that must be less than 0.4 of this model's.
@@ -232,7 +232,7 @@ class ShotModel:
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
-        """Return the same chain on the plate with its liquid so many times as deep; None for a dry plate."""
+        """Return the same chain with another depth of the liquid; None for a dry plate."""
         liquid = self._plate.liquid
         if liquid is None:
             return None
@@ -254,7 +254,7 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Force at the sensor for one strike.
+        """Return the force at the sensor for one strike.
 
         Parameters
         ----------
@@ -280,12 +280,12 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Force at the sensor above a through hole: an incident wave and no reflected one."""
+        """Return the force at the sensor above a through hole: an incident wave and no reflected one."""
         impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
-        """Force at the sensor for many strikes, in their order; errors as for `shot`.
+        """Return the force at the sensor for many strikes, in their order; errors as for `shot`.
 
         Strikes at the same depth are computed side by side. Each has the digits that it has alone.
         """
@@ -324,7 +324,7 @@ class ShotModel:
             height_m = chain.drop_height_m if height_m is None else float(height_m)
             tilt_rad = chain.tilt_rad if tilt_rad is None else float(tilt_rad)
             check_values(ChainParameters, {"drop_height_m": height_m, "tilt_rad": tilt_rad})
-            struck = struck_again(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
+            struck = with_other_strike(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
         if impact.second_delay_s is None:
             return struck
         second_speed = struck.impact_speed_m_per_s
@@ -420,7 +420,7 @@ class ShotModel:
         )
 
     def _attempts(self) -> Iterator[tuple[int, bool]]:
-        """Halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+        """Return halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
         for halving in range(STEP_HALVINGS + 1):
             yield halving, False
             if halving and self._modal_plate is not None:
@@ -442,15 +442,15 @@ class ShotModel:
         if modulus != 1.0:
             every_mode = every_mode.of_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
-        made = Propagator(
+        propagator = Propagator(
             bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:
-            self._prepared[key] = made
+            self._prepared[key] = propagator
             if len(self._prepared) > DEPTHS_KEPT:
                 self._prepared.popitem(last=False)
-        return made
+        return propagator
 
 
 def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:

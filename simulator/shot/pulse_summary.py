@@ -1,4 +1,4 @@
-"""Incident and reflected solitary wave in a simulated force: peaks and times.
+"""Peaks and times of incident and reflected solitary wave in a simulated force.
 
 ISW: the first local maximum of at least half the largest force above the preload; a chain of equal
 spheres brings its strongest pulse first, and what precedes it is ripple.
@@ -51,7 +51,7 @@ class PulseSummary:
 
 
 def summarise(force: ShotForce) -> PulseSummary:
-    """ISW, PSW, time of flight and amplitude ratio of `force`.
+    """Return ISW, PSW, time of flight and amplitude ratio of `force`.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def summarise(force: ShotForce) -> PulseSummary:
 
 @compiled(error_model="numpy")
 def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
-    """Find the samples of ISW and PSW; -1: there is none. ``turn_s`` is not a number where nothing turns."""
+    """Return the samples of ISW and PSW; -1: there is none. ``turn_s`` is NaN where nothing turns."""
     n = force_n.shape[0]
     strongest = -np.inf
     for k in range(n):
@@ -121,12 +121,12 @@ def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: fl
 
 @compiled(error_model="numpy")
 def _is_maximum(values: FloatArray, k: int) -> bool:
-    """Whether a sample is above the one before and not below the one after: a plateau counts once."""
+    """Return whether a sample is above the one before and not below the one after: a plateau counts once."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 
 
 def _interpolated(force: ShotForce, index: int) -> tuple[float, float]:
-    """Time in s and height in N of the parabola through the samples around a maximum."""
+    """Return time in s and height in N of the parabola through the samples around a maximum."""
     before, at, after = force.force_n[index - 1 : index + 2].tolist()
     spacing_s = float(force.time_s[1]) - float(force.time_s[0])
     shift = 0.5 * (before - after) / (before - 2.0 * at + after)

@@ -1,4 +1,4 @@
-"""What the time loop is given, holds from step to step, and fills: arrays and vectors by name.
+"""Inputs, state and outputs of the time loop: arrays and vectors by name.
 
 numba takes named tuples apart; in machine code nothing of them is left.
 """
@@ -40,7 +40,7 @@ class Chains(NamedTuple):
 
 
 class Strikes(NamedTuple):
-    """How the striker hits, float64 and int64, shape (width,).
+    """Strikes of the striker, float64 and int64, shape (width,).
 
     At `second_step` it, taken off before, touches the body below with `second_speed`; a negative step: it
     strikes once.
@@ -52,7 +52,7 @@ class Strikes(NamedTuple):
 
 
 class Propagator(NamedTuple):
-    """What the time loop needs to know about the specimen, for one depth and step.
+    """Specimen data of the time loop, for one depth and step.
 
     Attributes
     ----------
@@ -69,8 +69,8 @@ class Propagator(NamedTuple):
     mobility_m_per_n_s: float = 0.0
 
 
-class Found(NamedTuple):
-    """What the time loop fills, float64.
+class Results(NamedTuple):
+    """Output of the time loop, float64.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Found(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """All bodies but the last, of each all shots, and the contacts below them.
+    """Bodies of all shots except the last of each, and the contacts below them.
 
     BLOCK numbers are treated at a time. What fills the last block up has neither stiffness nor dashpot nor
     speed. Digits count the steps into the past.
@@ -120,7 +120,7 @@ class Bodies(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """What stays the same at the contact with the plate; where shots differ, a vector, one shot a lane."""
+    """Constants of the contact with the plate; where shots differ, a vector, one shot per lane."""
 
     step: float
     stiffness: Any
@@ -145,8 +145,8 @@ class Contact(NamedTuple):
     rest: Any  # contact and cut modes in series, together compressed before the strike
 
 
-class Last(NamedTuple):
-    """The last body, its contact with the plate, and the plate's past; a vector each, one shot a lane."""
+class LastBody(NamedTuple):
+    """Last body, its contact with the plate, and the plate's past; a vector each, one shot per lane."""
 
     u: Any
     v: tuple[Any, Any, Any, Any]  # now, one step ago, ...

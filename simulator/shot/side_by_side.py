@@ -1,4 +1,4 @@
-"""Shots of like chains on one specimen, passed to the compiled time loop as many as fit side by side."""
+"""Shots of similar chains on one specimen, integrated side by side in the compiled time loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from simulator.chain.spheres import Chain
 from simulator.numerics.arrays import FloatArray
 from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, NARROWEST, WIDEST, kernel
-from simulator.shot.registers import Chains, Found, Propagator, Strikes
+from simulator.shot.registers import Chains, Propagator, Results, Strikes
 
 WORTH_A_WIDE_PASS = 5
 """Shots from which on a pass of `kernel.WIDEST` lanes costs less than two after two."""
@@ -21,7 +21,7 @@ UNMOVED = Propagator(bank=np.empty(0))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Record:
-    """One shot as integrated: every step, energy not judged yet."""
+    """Integrated shot: every step, energy not checked yet."""
 
     force_n: FloatArray
     contact_force_n: FloatArray | None
@@ -58,7 +58,7 @@ def _side_by_side(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """One pass of the kernel; lanes without a shot of their own repeat the last one."""
+    """Run one pass of the kernel; lanes without a shot of their own repeat the last one."""
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
 
@@ -68,7 +68,7 @@ def _side_by_side(
     bodies = len(chain.mass_kg)
     force = np.empty((steps, width))
     contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
-    found = Found(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
+    found = Results(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
     kernel(width, chain.damping_exponent == 0.0)(
         Chains(
             chain.mass_kg,

@@ -12,7 +12,7 @@ PHASE_PER_STEP_RAD = 0.05
 
 
 def resolving_step_s(chain: Chain) -> float:
-    """Step of the integration for `chain`: the largest of 1, 2, 5 x 10^k s that resolves it.
+    """Return the largest step of 1, 2, 5 x 10^k s that resolves `chain`.
 
     The dashpots between the spheres must relax slowly compared with a step, too.
     """
@@ -44,7 +44,7 @@ def peak_overlap_m(chain: Chain) -> float:
 
 
 def record_duration_s(chain: Chain) -> float:
-    """Record that holds the reflected wave: 1.4 ms, more for slower chains.
+    """Return the duration that holds the reflected wave: 1.4 ms, more for slower chains.
 
     A solitary wave needs about ``1.2 (m^2 / (A^2 v))^(1/5)`` from one contact to the next, down the
     chain and back to the sensor; 2.5 times that leaves room for a soft specimen.

@@ -61,7 +61,7 @@ class ZenerImpact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZenerReflection:
-    """What Zener's model expects of one transducer on one plate."""
+    """Prediction of Zener's model for one transducer on one plate."""
 
     inelasticity: float
     restitution: float
@@ -72,7 +72,7 @@ class ZenerReflection:
 
 
 def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerImpact:
-    """Restitution and contact time of eq. 8, solved numerically.
+    """Return restitution and contact time of eq. 8, solved numerically.
 
     Eq. 8, ``sigma'' + (1 + lambda d/dtau) sigma^(3/2) = 0``, has a force whose second derivative is infinite
     at both ends. With the sphere's speed ``p = sigma' + lambda sigma^(3/2)``, the root
@@ -126,7 +126,7 @@ def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerI
 
 
 def _integrate(inelasticity: float, tolerance: float) -> tuple[float, float, float]:
-    """Restitution, contact time and energy residual of eq. 8 at one relative tolerance."""
+    """Return restitution, contact time and energy residual of eq. 8 at one relative tolerance."""
 
     def slope(_: float, state: Sequence[float]) -> list[float]:
         x, p, _tau, _taken = state
@@ -160,13 +160,13 @@ def _integrate(inelasticity: float, tolerance: float) -> tuple[float, float, flo
 
 
 def approximate_restitution(inelasticity: float) -> float:
-    """``e = exp(-1.6605 lambda)``, eq. 10, for lambda from 0 to 1; SpecimenError outside."""
+    """Return ``e = exp(-1.6605 lambda)``, eq. 10, for lambda from 0 to 1; SpecimenError outside."""
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_10, "use solve_impact beyond eq. 10")
     return math.exp(-1.6605 * inelasticity)
 
 
 def approximate_contact_time(inelasticity: float) -> float:
-    """``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``, eq. 12, for lambda from 0 to 2; SpecimenError outside."""
+    """Return ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``, eq. 12, lambda 0 to 2; SpecimenError outside."""
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_12, "use solve_impact beyond eq. 12")
     return 2.762 + 0.4568 * math.exp(1.27 * inelasticity)
 
@@ -183,7 +183,7 @@ def inelasticity_parameter(
     plate_youngs_modulus_pa: float,
     plate_poisson_ratio: float,
 ) -> float:
-    """Lambda of eq. 9, dimensionless.
+    """Return lambda of eq. 9, dimensionless.
 
     It is ``m / (T Z)``: mass of the sphere over the contact's time scale ``T = (m / (A sqrt(v)))^(2/5)``
     and the thin plate's impedance ``Z = 8 sqrt(D rho h)``.
@@ -224,7 +224,7 @@ def inelasticity_parameter(
 
 
 def amplitude_ratio(restitution: float) -> float:
-    """``AR = e^(6/5)``, eq. 11: peak force of the PSW over that of the ISW; e from above 0 to 1."""
+    """Return ``AR = e^(6/5)``, eq. 11: peak force of the PSW over that of the ISW; e from above 0 to 1."""
     _check_restitution(restitution)
     return float(restitution**1.2)
 
@@ -239,7 +239,7 @@ def time_of_flight_s(
     plate_stiffness: float,
     impact_speed_m_per_s: float,
 ) -> float:
-    """Time from ISW to PSW at the sensor in s, eq. 13.
+    """Return the time from ISW to PSW at the sensor in s, eq. 13.
 
     ``[1.18 (1 + e^(-1/5)) N A_s^(-2/5) + 1.08 tau_c A_p^(-2/5)] m^(2/5) v_imp^(-1/5)``: down and back
     through N contacts, and the stay at the plate (1.08 is ``0.682^(-1/5)``).
@@ -275,7 +275,7 @@ def time_of_flight_s(
 def reflect(
     chain: ChainParameters, plate: PlateParameters, *, depth_fraction: float = 0.0, closed_form: bool = False
 ) -> ZenerReflection:
-    """Time of flight and amplitude ratio of a transducer on a plate thinned under it.
+    """Return time of flight and amplitude ratio of a transducer on a plate thinned under it.
 
     Of the chain count radius, mass, material, temperature, spheres below the sensor and drop height; of
     the plate thickness and material. The model of the plate, its edges and the outline of a patch do not.
@@ -353,7 +353,7 @@ def chain_time_of_flight_s(
     contact_time: float,
     impact_speed_m_per_s: float,
 ) -> float:
-    """Time of flight of a chain on a plate: eq. 13 with the stiffnesses of eq. 2."""
+    """Return the time of flight of a chain on a plate: eq. 13 with the stiffnesses of eq. 2."""
     sphere = chain.radius_m, chain.body(0).youngs_modulus_pa, chain.poisson_ratio
     return time_of_flight_s(
         restitution=restitution,

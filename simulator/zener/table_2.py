@@ -23,7 +23,7 @@ DROP_HEIGHTS_M = (2e-3, 3.5e-3, 5e-3, 6.5e-3, 8e-3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table2Row:
-    """One case of Table 2, rounded as the paper prints it."""
+    """Case of Table 2, rounded as the paper prints it."""
 
     drop_height_m: float
     impact_speed_m_per_s: float
@@ -38,7 +38,7 @@ class Table2Row:
 
 
 def table_2() -> tuple[Table2Row, ...]:
-    """Table 2 of the paper, cases 1 to 5, by the roundings that give its digits.
+    """Return Table 2 of the paper, cases 1 to 5, by the roundings that give its digits.
 
     The striker's speed is rounded to 2 decimals and used so from there on. Lambda takes spheres and plate
     of 7,800 kg/m3 and nu = 0.28 each. e (eq. 10), tau_c (eq. 12) and ToF (eq. 13) follow from the whole

@@ -43,7 +43,7 @@ class TestWalkingClock(ClockContract):
     # An hour and a half of experiment in 0.3 s of wall time: at least one look around on the way.
     AHEAD_S = 0.3 * 5.0 * 3600.0
 
-    def test_waiting_looks_around(self, clock):
+    def test_a_wait_calls_idle(self, clock):
         looks = []
         clock.wait_until(clock.utc_ns() + round(self.AHEAD_S * 1e9), lambda: not looks.append(1))
         assert len(looks) >= int(0.3 / 0.2)

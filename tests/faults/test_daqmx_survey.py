@@ -17,7 +17,7 @@ from support.daqmx_rig import (
     why_no,
 )
 
-from hardware_drivers.daqmx.survey import survey
+from hardware_drivers.daqmx.survey import survey_rig
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
 from simulator.parameters.electronics import NoiseParameters
 
@@ -54,7 +54,7 @@ def findings(found, state):
 
 
 def test_a_sound_rig_is_ok_and_nothing_strikes(doubles, parameters):
-    found = survey(parameters)
+    found = survey_rig(parameters)
     assert findings(found, "fail") == findings(found, "warn") == []
     assert found.state == "ok"
     assert found.driver_version == "24.8.0"
@@ -74,21 +74,21 @@ def test_a_sound_rig_is_ok_and_nothing_strikes(doubles, parameters):
 
 
 def test_a_dry_run_is_surveyed_with_its_trigger(doubles, parameters):
-    found = survey(replace(parameters, dry_run=True))
+    found = survey_rig(replace(parameters, dry_run=True))
     assert found.state == "ok"
     assert "CfgAnlgEdgeRefTrig" in functions_of(doubles.control.record())
 
 
 def test_a_temperature_that_is_unknown_is_compared_with_nothing(doubles, parameters):
     doubles.control.inject("DAQmxGetCalInfoAttribute:Cal.DevTemp", "error", code=-200077, times=0)
-    found = survey(parameters)
+    found = survey_rig(parameters)
     (told,) = (one for one in found.findings if one.check == "calibrated")
     assert (told.state, told.remedy) == ("ok", "")
     assert "does not say how warm" in told.detail
 
 
 def test_noise_near_the_trigger_level_is_a_warning(parameters):
-    found = survey(replace(parameters, trigger_level_v=0.06))
+    found = survey_rig(replace(parameters, trigger_level_v=0.06))
     assert {(finding.subject, finding.check) for finding in findings(found, "warn")} == {
         ("transducer C", "noise"),
         ("transducer D", "noise"),
@@ -108,7 +108,7 @@ def test_noise_near_the_trigger_level_is_a_warning(parameters):
 )  # fmt: skip
 def test_wrong_wiring_fails_where_it_is_wrong_and_the_rest_is_looked_at(parameters, changes, check, told):
     wrong = replace(parameters.transducers["C"], **changes)
-    found = survey(replace(parameters, transducers={"C": wrong, "D": parameters.transducers["D"]}))
+    found = survey_rig(replace(parameters, transducers={"C": wrong, "D": parameters.transducers["D"]}))
     failed = findings(found, "fail")
     assert {finding.subject for finding in failed} == {"transducer C"}
     (finding,) = (finding for finding in failed if finding.check == check)
@@ -120,7 +120,7 @@ def test_wrong_wiring_fails_where_it_is_wrong_and_the_rest_is_looked_at(paramete
 def test_a_board_that_is_not_there_is_told_with_a_remedy(doubles, parameters):
     doubles.control.unplug(SERIAL)
     try:
-        found = survey(parameters)
+        found = survey_rig(parameters)
     finally:
         doubles.control.plug(SERIAL, SIMULTANEOUS_16_BIT.name)
     assert found.state == "fail"
@@ -132,7 +132,7 @@ def test_a_board_that_is_not_there_is_told_with_a_remedy(doubles, parameters):
 def test_a_board_in_use_names_its_owner(doubles, parameters):
     doubles.control.occupy(f"{SERIAL}/ai", "LabVIEW on BENCH-7")
     try:
-        found = survey(parameters)
+        found = survey_rig(parameters)
     finally:
         doubles.control.vacate("LabVIEW on BENCH-7")
     texts = [f"{finding.detail}; {finding.remedy}" for finding in findings(found, "fail")]
@@ -142,7 +142,7 @@ def test_a_board_in_use_names_its_owner(doubles, parameters):
 
 def test_a_driver_that_does_not_answer_is_a_finding(doubles, parameters):
     doubles.control.inject("DAQmxGetSystemInfoAttribute", "error", code=-88907, times=0)
-    found = survey(parameters)
+    found = survey_rig(parameters)
     assert found.state == "fail"
     (finding,) = found.findings
     assert (finding.subject, finding.check) == ("driver", "reachable")

@@ -18,7 +18,7 @@ import time
 import numpy as np
 import pytest
 
-from simulator.numerics.array_cache import STALE_S, kept_arrays, read_arrays
+from simulator.numerics.array_cache import STALE_S, cached_arrays, read_arrays
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import reduced_plate, reduction_key
 
@@ -30,11 +30,11 @@ KEEPING = """
 import hashlib, sys
 from pathlib import Path
 import numpy as np
-from simulator.numerics.array_cache import kept_arrays
+from simulator.numerics.array_cache import cached_arrays
 
 for number in range(int(sys.argv[2]), 100_000):
     compute = lambda: {"a": np.arange(10_000) / (number + 1.0), "b": np.array([[number, -0.0]])}
-    arrays = kept_arrays(Path(sys.argv[1]), f"key{number}", compute)
+    arrays = cached_arrays(Path(sys.argv[1]), f"key{number}", compute)
     digest = hashlib.sha256(b"".join(values.tobytes() for values in arrays.values())).hexdigest()
     print(number, digest, flush=True)
 """
@@ -140,10 +140,10 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
     unfinished = [path for path in tmp_path.iterdir() if path not in kept]
     assert len(unfinished) >= KILLS_IN_WRITING
     assert {path.suffix for path in unfinished} == {".part"}
-    kept_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    cached_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
     assert all(path.exists() for path in unfinished)  # young: their writers might be at work
     age(tmp_path)
-    kept_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    cached_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
     assert sorted(tmp_path.iterdir()) == kept
 
 

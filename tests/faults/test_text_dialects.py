@@ -154,7 +154,7 @@ def test_another_instrument_is_sent_nothing_but_the_question(rig):
     assert rig.switched() == []
 
 
-def test_it_says_who_it_is(rig):
+def test_the_identity_is_reported(rig):
     identity = rig.supply.identity()
     assert identity["model"] in {"DC SUPPLY DOUBLE", "PL303-P", "KA3005P", "DP832A"}
     assert identity["port"] == rig.supply_parameters.line.port

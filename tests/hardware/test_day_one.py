@@ -22,7 +22,7 @@ from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.look import digital_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.survey import survey
+from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey, Waveform
 
@@ -37,7 +37,7 @@ RECORDS = 300
 
 
 def test_the_boards_take_the_wiring_as_configured(parameters: DaqmxParameters) -> None:
-    failed = [finding for finding in survey(parameters).findings if finding.state == "fail"]
+    failed = [finding for finding in survey_rig(parameters).findings if finding.state == "fail"]
     assert failed == []
 
 

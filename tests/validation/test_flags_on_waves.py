@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from analysis.waves.template import Template, compared
+from analysis.waves.template import Template, compare_with_template
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "flags_on_waves.py"
 N_RECORDS, SEED = 30, 1
@@ -88,7 +88,7 @@ def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
             (benchmark.TIME_S - 45e-6) / random.uniform(30e-6, 150e-6)
         )
         volts = pulse + 0.01 * random.standard_normal(pulse.size)
-        holes += "no_psw" in compared(benchmark._extracted(volts), own).flags
+        holes += "no_psw" in compare_with_template(benchmark._extracted(volts), own).flags
     # 12 % of the width to both sides of 120 us, .35 of the height and more: one in ten.
     assert holes <= 30
 

@@ -19,12 +19,12 @@ from analysis.waves.features import (
     EXTRACTOR_VERSION,
     ShotFeatures,
     extract_from_volts,
-    graded,
+    with_flags,
 )
 from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
-from analysis.waves.template import Template, compared_with_others, learnt
+from analysis.waves.template import Template, compare_with_others, learn_template
 from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_records
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import console_on
@@ -128,7 +128,7 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
             shots.append(_extracted(f"{path}, record {index}", record, own_settings))
         except UsageError as error:
             failed.append(error)
-            shots.append(graded(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
+            shots.append(with_flags(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
         of_position[record.position].append(index)
         if progress is not None:
             progress.advance(1)
@@ -142,11 +142,11 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
         )
     for position, indices in of_position.items():
         width_s = settings.get(position, any_settings).isw_fwhm_s
-        template = _template(own, learnt([shots[index] for index in indices]), width_s)
+        template = _template(own, learn_template([shots[index] for index in indices]), width_s)
         if template is not None:
             at = f"{path}{f', {position}' if position else ''}"
             click.echo(f"{at}: {_in_words(template)}", err=True)
-        found = compared_with_others([shots[index] for index in indices], template)
+        found = compare_with_others([shots[index] for index in indices], template)
         for index, shot in zip(indices, found, strict=True):
             shots[index] = shot
     return shots
@@ -184,7 +184,7 @@ def _median(values: Sequence[float]) -> float | None:
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
     if not (np.abs(record.volts_v) < LARGEST_V).all():
-        return graded(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
+        return with_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
         return extract_from_volts(
             record.volts_v,

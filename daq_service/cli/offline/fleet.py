@@ -17,17 +17,17 @@ from analysis.statistics.design import Budget
 from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
-    Shared,
-    alike,
-    chance_so_far,
-    gain,
-    kept_of_shared,
+    SharedChange,
+    find_shared_changes,
+    mean_squared_correlation,
     raised_at,
-    shared_causes,
+    residual_shift,
+    running_chance,
+    sensor_gain,
     shared_deviation,
     standardized,
-    usual_memory,
-    usual_tails,
+    typical_autocorrelation,
+    typical_tails,
 )
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import assess
@@ -107,7 +107,7 @@ def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Bud
         refused=None,
         alarms=bool(found.onsets),
         why_not=found.why_not_guaranteed,
-        chances=chance_so_far(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
+        chances=running_chance(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
     )
 
 
@@ -146,18 +146,18 @@ def assess_fleet(
     n_rows, after = max(len(table.in_sd) for table in first), max(map(_after, first))
     shared = shared_deviation(_stacked([table.in_sd for table in first], n_rows))
     baselines = [_alone(table, shared) for table in first]
-    usual = Usual(phi=usual_memory(baselines), tails=usual_tails(baselines))
+    usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
     period = max(1, *(len(table.in_sd) - _after(table) for table in first))
     one = partial(beside, read=read, shared=shared, usual=usual, budget=budget, period=period)
     found: list[Beside] = list(mapped(one, paths))
     judged = [k for k, sensor in enumerate(found) if sensor.refused is None]
     rows = raised_at(_held([found[k].chances for k in judged], n_rows), rate) if judged else []
     raised = {k: row for k, row in zip(judged, rows, strict=True) if row is not None}
-    causes = shared_causes(shared, len(paths), float(usual.phi.max()), after)
-    errors = alike(baselines)
-    gains = [gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
+    causes = find_shared_changes(shared, len(paths), float(usual.phi.max()), after)
+    errors = mean_squared_correlation(baselines)
+    gains = [sensor_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
     n = int(np.median([table.in_baseline.sum() for table in first]))
-    kept = kept_of_shared(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
+    kept = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
     why = _why_not([found[k].why_not for k in judged], len(paths), kept)
     kept_back = [k for k in judged if alone[k] and k not in raised]
     explained = [k for k in kept_back if not found[k].alarms and _within(alone[k], causes)]
@@ -205,7 +205,7 @@ def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
     return np.asarray((table.in_sd - shared[: len(table.in_sd)])[table.in_baseline])
 
 
-def _within(rows: Sequence[int], causes: Sequence[Shared]) -> bool:
+def _within(rows: Sequence[int], causes: Sequence[SharedChange]) -> bool:
     return any(cause.first_row <= row <= cause.last_row for row in rows for cause in causes)
 
 
@@ -221,7 +221,7 @@ def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
     return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
 
 
-def _told(cause: Shared, names: Sequence[str]) -> dict[str, Any]:
+def _told(cause: SharedChange, names: Sequence[str]) -> dict[str, Any]:
     return {
         "first_row": cause.first_row,
         "last_row": cause.last_row,

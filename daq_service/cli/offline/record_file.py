@@ -210,7 +210,7 @@ def _tdms(path: Path, told: Told) -> RecordFile:
             path,
             mapping,
             pretrigger_s=told.pretrigger_s,
-            rails_told=told.rails is not None,
+            rails_marked=told.rails is not None,
             unitless_are_volts=True,
         )
     except ConfigurationError as error:

@@ -14,7 +14,7 @@ import numpy as np
 from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
 from analysis.waves.features import extract_features
-from analysis.waves.first_settings import Proposal, Struck, propose, shot_within
+from analysis.waves.first_settings import Proposal, StruckTransducer, propose_settings, shot_within
 from daq_service.cli.doctor.storage import held_folder
 from daq_service.cli.set_up.drawn import envelope, shot_drawn
 from daq_service.errors import BusyError
@@ -150,14 +150,18 @@ class Bench:
             A record ends before a wave could have come.
         """
         known = {
-            name: Struck(
+            name: StruckTransducer(
                 noise=self.quiet[name],
                 strike=strike,
                 ranges_v=self.ranges_v(self.transducers[name]),
             )
             for name, strike in self.struck.items()
         }
-        return propose(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m)) if known else None
+        return (
+            propose_settings(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m))
+            if known
+            else None
+        )
 
     def newest(self) -> dict[str, Any]:
         """Return the newest strike whole, and the shot in it that the proposal would have recorded."""

@@ -46,9 +46,9 @@ def ask_for_others(
         usual = laboratory()[0]["rig"]["niscope"]
         tables["niscope"] = {**usual, "probes": {name: _plain(wiring) for name, wiring in known.items()}}
     if asks and not (supply and climate):
-        from hardware_drivers.serial_port.port import ports_there
+        from hardware_drivers.serial_port.port import serial_ports
 
-        for port, words in ports_there().items():
+        for port, words in serial_ports().items():
             dialogue.tell(f"found  {port} ({words})")
     for name, port, text, reach in (
         ("supply", supply, "Serial port of the supply that drives the corrosion", _supply),

@@ -157,9 +157,9 @@ def look_around(
     RigError
         There is none that can trigger on a wave: what was looked for, what was met, what to do.
     """
-    from hardware_drivers.daqmx.survey import boards_there
+    from hardware_drivers.daqmx.survey import survey_boards
 
-    survey = boards_there(transport, grpc_address)
+    survey = survey_boards(transport, grpc_address)
     for board in survey.boards:
         dialogue.tell(f"found  {board_in_words(board)}")
     usable = {board.serial: board for board in survey.boards if board.analog_trigger and board.ranges_v}

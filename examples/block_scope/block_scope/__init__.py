@@ -1,1 +1,1 @@
-"""A block-mode oscilloscope as a digitizer of solimon."""
+"""Digitizer of solimon: a block-mode oscilloscope."""

@@ -16,7 +16,7 @@ from hardware_drivers.errors import ConfigurationError
 
 
 class Status(IntEnum):
-    """What a call says of itself."""
+    """Status of a call."""
 
     OK = 0x00
     NOT_FOUND = 0x03

@@ -1,4 +1,4 @@
-"""The maker's library as a Python object with the same functions: it samples the volts that it is given.
+"""Double of the maker's library, a Python object with the same functions: it samples given volts.
 
 It writes where pointers point and answers in status codes. `as_library` puts it behind pointers to C
 functions, so every call of the driver goes through ctypes as to the maker's own library.
@@ -29,7 +29,7 @@ WAVE_RATE_HZ = 50e6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """A block that runs.
+    """Block in progress.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class _Block:
 
 
 class ScopeDouble:
-    """One oscilloscope at a USB port."""
+    """Oscilloscope at a USB port."""
 
     def __init__(self) -> None:
         self.plugged_in = True
@@ -62,11 +62,11 @@ class ScopeDouble:
     # What happens to it ----------------------------------------------------------------------------
 
     def unplug(self) -> None:
-        """Pull the cable: the handle is worth nothing any more."""
+        """Pull the cable: the handle becomes invalid."""
         self.plugged_in, self._handle, self._running, self._taken = False, 0, None, None
 
     def wave_arrives(self, volts_v: NDArray[np.float64], sample_rate_hz: float, channel: str = "A") -> None:
-        """Let a voltage, shape (n_samples,), begin at an input; before and after it there is none."""
+        """Start a voltage, shape (n_samples,), at an input; before and after it there is none."""
         block = self._running
         if block is None or self._taken is not None or api.CHANNELS.index(channel) != block.channel:
             return
@@ -86,7 +86,7 @@ class ScopeDouble:
         self._taken = record.astype(np.int16), outside
 
     def _codes(self, volts_v: NDArray[np.float64], range_v: float) -> NDArray[np.float64]:
-        """Round to the resolution; fewer bits than 16 stand in the upper ones."""
+        """Round to the resolution; fewer bits than 16 are in the upper ones."""
         highest = self._highest >> (16 - self._bits)
         return np.clip(np.rint(volts_v / range_v * highest), -highest, highest) * (1 << (16 - self._bits))
 
@@ -110,18 +110,18 @@ class ScopeDouble:
         return Status.OK
 
     def bs_close_unit(self, handle: int) -> int:
-        """Close it."""
+        """Close the unit."""
         status = self._status(handle)
         if status is Status.OK:
             self._handle, self._running, self._taken = 0, None, None
         return status
 
-    def bs_get_unit_info(self, handle: int, text: Any, length: int, what: int) -> int:
+    def bs_get_unit_info(self, handle: int, text: Any, length: int, subject: int) -> int:
         """Write a text about the unit."""
         status = self._status(handle)
         if status is Status.OK:
-            told = INFO[what].encode("ascii")[: length - 1] + b"\0"
-            ctypes.memmove(text, told, len(told))
+            text_bytes = INFO[subject].encode("ascii")[: length - 1] + b"\0"
+            ctypes.memmove(text, text_bytes, len(text_bytes))
         return status
 
     def bs_maximum_value(self, handle: int, value: Any) -> int:
@@ -139,14 +139,14 @@ class ScopeDouble:
         return status
 
     def bs_set_channel(self, handle: int, channel: int, enabled: int, range_number: int) -> int:
-        """Switch an input on with a range, or off."""
+        """Enable an input with a range, or disable it."""
         status = self._status(handle)
         if status is Status.OK and enabled:
             self._channel, self._range_v = channel, api.RANGES_MV[range_number] / 1e3
         return status
 
     def bs_set_simple_trigger(self, handle: int, channel: int, level: int, direction: int, after: int) -> int:
-        """Trigger when an input passes a level; `after` milliseconds without that, 0: never."""
+        """Trigger when an input crosses a level; after `after` milliseconds in any case, 0: never."""
         status = self._status(handle)
         if status is Status.OK and (abs(level) > self._highest or after != api.NEVER):
             return Status.INVALID_PARAMETER
@@ -154,7 +154,7 @@ class ScopeDouble:
         return status
 
     def bs_run_block(self, handle: int, before: int, after: int, timebase: int) -> int:
-        """Sample until a trigger has come and the block is full."""
+        """Sample until a trigger occurs and the block is full."""
         status = self._status(handle)
         if status is not Status.OK:
             return status
@@ -182,7 +182,7 @@ class ScopeDouble:
         return status
 
     def bs_get_values(self, handle: int, buffer: Any, n_samples: Any, overflow: Any) -> int:
-        """Write the samples, how many there are, and whether the input left its range."""
+        """Write the samples, their number, and whether the input exceeded its range."""
         status = self._status(handle)
         if status is not Status.OK:
             return status
@@ -195,7 +195,7 @@ class ScopeDouble:
         return Status.OK
 
     def bs_stop(self, handle: int) -> int:
-        """End the block; harmless when there is none."""
+        """Stop the block; harmless when there is none."""
         status = self._status(handle)
         if status is Status.OK:
             self._running = None
@@ -208,7 +208,7 @@ class ScopeDouble:
 
 
 def pulse_v(peak_v: float = 2.5, width_s: float = 50e-6, lasts_s: float = 1.3e-3) -> NDArray[np.float64]:
-    """Give a solitary wave as a sensor shows it, at `WAVE_RATE_HZ`: a peak and a smaller one behind it."""
+    """Return a solitary wave as seen by a sensor, at `WAVE_RATE_HZ`: a peak, then a smaller one."""
     times_s = np.arange(round(lasts_s * WAVE_RATE_HZ)) / WAVE_RATE_HZ
     pulses = [(peak_v, 3.0 * width_s), (0.4 * peak_v, 12.0 * width_s)]
     volts_v = np.zeros_like(times_s)
@@ -218,19 +218,19 @@ def pulse_v(peak_v: float = 2.5, width_s: float = 50e-6, lasts_s: float = 1.3e-3
 
 
 def as_library(scope: ScopeDouble) -> SimpleNamespace:
-    """Give what `api.load` gives, with the double behind it."""
+    """Return the double in the form of `api.load`."""
 
     def function(name: str, arguments: tuple[Any, ...]) -> Any:
         prototype = ctypes.CFUNCTYPE(ctypes.c_uint32, *arguments)
         # Looked up at each call: a test may come between.
         return prototype(lambda *given: getattr(scope, name)(*given))  # noqa: PLW0108
 
-    return SimpleNamespace(**{name: function(name, its) for name, its in api.PROTOTYPES.items()})
+    return SimpleNamespace(**{name: function(name, arguments) for name, arguments in api.PROTOTYPES.items()})
 
 
 @contextmanager
 def bench() -> Iterator[Bench]:
-    """Let the kind meet a double, as `--solimon-double` asks for it."""
+    """Connect the kind to a double, for the option `--solimon-double`."""
     scope = ScopeDouble()
 
     def strike(key: ShotKey) -> None:

@@ -1,4 +1,7 @@
-"""The oscilloscope as a kind of instrument: its parameters, its digitizer, what `solimon doctor` looks at."""
+"""Kind of instrument for the oscilloscope.
+
+Its parameters, its digitizer, and the checks of `solimon doctor`.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,14 @@ from block_scope import api
 from block_scope.unit import Unit
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, require_timeout
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 
 log = logging.getLogger(__name__)
 
 
 class BlockScopeParameters(BaseModel):
-    """One oscilloscope."""
+    """Parameters of one oscilloscope."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -64,7 +67,7 @@ class BlockScopeParameters(BaseModel):
 
 
 class BlockScopeDigitizer:
-    """Runs a block for each shot."""
+    """Digitizer that runs a block for each shot."""
 
     def __init__(self, unit: Unit, parameters: BlockScopeParameters) -> None:
         self._unit = unit
@@ -72,7 +75,7 @@ class BlockScopeDigitizer:
         self._armed: ShotKey | None = None
 
     def arm(self, key: ShotKey) -> None:
-        """Run a block at the position's input; a unit that was lost is opened anew."""
+        """Run a block at the position's input; a lost unit is opened again."""
         p, unit = self._parameters, self._unit
         if key.position not in p.channels:
             raise ConfigurationError(f"no input for {key.position!r}; channels has: {', '.join(p.channels)}")
@@ -91,7 +94,7 @@ class BlockScopeDigitizer:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Wait for the block's end and return it; whatever happens, nothing runs afterwards."""
+        """Wait for the block's end and return it; after any error nothing runs."""
         require_timeout(timeout_s)
         if self._armed is None:
             raise ConfigurationError("not armed; arm before the strike, then read")
@@ -114,7 +117,7 @@ class BlockScopeDigitizer:
         )
 
     def disarm(self) -> None:
-        """End the block; harmless when there is none, and when the unit is lost."""
+        """Stop the block; harmless when there is none, and when the unit is lost."""
         armed, self._armed = self._armed, None
         if armed is not None and self._unit.is_open:
             try:
@@ -147,10 +150,10 @@ def _open(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Opened
         unit.timebase(parameters.sample_rate_hz)
         digitizer = BlockScopeDigitizer(unit, parameters)
         identity = {
-            "model": unit.told(api.MODEL),
-            "serial": unit.told(api.SERIAL),
-            "library_version": unit.told(api.LIBRARY_VERSION),
-            "calibrated": unit.told(api.CALIBRATION_DATE),
+            "model": unit.info(api.MODEL),
+            "serial": unit.info(api.SERIAL),
+            "library_version": unit.info(api.LIBRARY_VERSION),
+            "calibrated": unit.info(api.CALIBRATION_DATE),
         }
         try:
             yield Opened(digitizer=digitizer, identity=identity)
@@ -159,15 +162,15 @@ def _open(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Opened
 
 
 def _check(parameters: BlockScopeParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the oscilloscope who it is."""
+    """Check the identity of the oscilloscope."""
     subject = f"oscilloscope {parameters.serial}".strip()
     try:
         with _opened_unit(parameters) as unit:
-            detail = f"{unit.told(api.MODEL)}, serial number {unit.told(api.SERIAL)}"
+            detail = f"{unit.info(api.MODEL)}, serial number {unit.info(api.SERIAL)}"
             yield Finding(subject=subject, check="answers", state="ok", detail=detail)
             unit.timebase(parameters.sample_rate_hz)
     except InstrumentError as error:
-        yield failed(subject, "answers", error, "check its cable and its power")
+        yield finding_of_error(subject, "answers", error, "check its cable and its power")
 
 
 def _require(parameters: BlockScopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:

@@ -1,4 +1,4 @@
-"""One unit: calls that raise solimon's errors, and blocks of samples."""
+"""Oscilloscope unit: calls that raise solimon's errors, and blocks of samples."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ UNKNOWN = (ConfigurationError, "look the status up in its maker's manual")
 
 
 class Unit:
-    """An oscilloscope that is opened when it is needed, and anew after it was lost.
+    """Oscilloscope that is opened when it is needed, and again after a loss.
 
     Parameters
     ----------
@@ -58,11 +58,11 @@ class Unit:
 
     @property
     def is_open(self) -> bool:
-        """True between `open` and the loss of the unit."""
+        """Return True between `open` and the loss of the unit."""
         return self._handle is not None
 
     def open(self) -> None:
-        """Open the unit and ask for its highest code."""
+        """Open the unit and query its highest code."""
         handle, highest = pointer(c_int16()), pointer(c_int16())
         self._check("opening", self._library.bs_open_unit(handle, self._serial.encode("ascii"), self._bits))
         self._handle = handle.contents.value
@@ -77,21 +77,21 @@ class Unit:
             if status != Status.OK:
                 log.warning("closing the oscilloscope: status %#x", status)
 
-    def told(self, what: int) -> str:
-        """Ask for a text about the unit."""
+    def info(self, subject: int) -> str:
+        """Query a text about the unit."""
         text = create_string_buffer(80)
-        self._call("bs_get_unit_info", text, len(text), what)
+        self._call("bs_get_unit_info", text, len(text), subject)
         return text.value.decode("ascii", errors="replace").strip() or "unknown"
 
     def timebase(self, sample_rate_hz: float) -> int:
-        """Find the timebase of a rate; one that the unit would round is refused."""
+        """Return the timebase of a rate; reject one that the unit would round."""
         interval_ns = 1e9 / sample_rate_hz
-        number, told_ns = max(0, round(interval_ns / 10.0) - 1), pointer(c_int32())
-        self._call("bs_get_timebase", number, told_ns)
-        if abs(told_ns.contents.value - interval_ns) > 1e-6 * interval_ns:
+        number, actual_ns = max(0, round(interval_ns / 10.0) - 1), pointer(c_int32())
+        self._call("bs_get_timebase", number, actual_ns)
+        if abs(actual_ns.contents.value - interval_ns) > 1e-6 * interval_ns:
             raise ConfigurationError(
                 f"sample_rate_hz is {sample_rate_hz:g}; the nearest of this oscilloscope is "
-                f"{1e9 / told_ns.contents.value:g}"
+                f"{1e9 / actual_ns.contents.value:g}"
             )
         return number
 
@@ -105,7 +105,7 @@ class Unit:
         samples: tuple[int, int],
         base: int,
     ) -> None:
-        """Run a block: `samples` before and after the level is passed at the channel."""
+        """Run a block: `samples` before and after the level is crossed at the channel."""
         number = api.CHANNELS.index(channel)
         for each in range(len(api.CHANNELS)):
             self._call("bs_set_channel", each, int(each == number), api.RANGES_MV.index(round(range_v * 1e3)))
@@ -129,7 +129,7 @@ class Unit:
             time.sleep(min(POLL_S, left_s))
 
     def values(self, wanted: int) -> tuple[NDArray[np.int16], bool]:
-        """Give the codes of the block, shape (wanted,), and whether the input left its range."""
+        """Return the codes of the block, shape (wanted,), and whether the input exceeded its range."""
         buffer = np.zeros(wanted, dtype=np.int16)
         got, overflow = pointer(c_uint32(wanted)), pointer(c_int16())
         self._call("bs_get_values", buffer.ctypes.data_as(POINTER(c_int16)), got, overflow)
@@ -138,7 +138,7 @@ class Unit:
         return buffer >> self._shift, bool(overflow.contents.value)
 
     def stop(self) -> None:
-        """End the block."""
+        """Stop the block."""
         self._call("bs_stop")
 
     @property
@@ -150,12 +150,12 @@ class Unit:
             raise ConnectionLostError("the oscilloscope is not open; it is opened anew for the next shot")
         self._check(function, getattr(self._library, function)(self._handle, *arguments))
 
-    def _check(self, what: str, code: int) -> None:
+    def _check(self, subject: str, code: int) -> None:
         if code == Status.OK:
             return
         known = code in list(Status)
         kind, remedy = ERRORS.get(Status(code), CORRECT) if known else UNKNOWN
         if kind is ConnectionLostError:
             self.close()
-        said = Status(code).name if known else f"status {code:#x}"
-        raise kind(f"oscilloscope {self._serial or '(any)'}: {what} says {said}; {remedy}")
+        status_text = Status(code).name if known else f"status {code:#x}"
+        raise kind(f"oscilloscope {self._serial or '(any)'}: {subject} says {status_text}; {remedy}")

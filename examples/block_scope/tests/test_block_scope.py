@@ -1,4 +1,4 @@
-"""What the suites of solimon cannot know: this oscilloscope's codes, statuses and losses."""
+"""Tests beyond solimon's suites: this oscilloscope's codes, statuses and losses."""
 
 from ctypes import c_int16
 from typing import Any
@@ -47,8 +47,8 @@ def take(digitizer, scope, volts_v):
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 def test_volts_are_those_at_the_input_within_half_a_code(scope, bits):
     volts_v = pulse_v()
-    with opened(resolution_bits=bits) as its:
-        waveform = take(its.digitizer, scope, volts_v).waveform
+    with opened(resolution_bits=bits) as digitizer:
+        waveform = take(digitizer.digitizer, scope, volts_v).waveform
     code_v = 5.0 / (2 ** (bits - 1) - 1)
     # The record begins with the samples before the trigger: the first that reaches the level, as rounded.
     at_input_v = volts_v[:: round(WAVE_RATE_HZ / 10e6)]
@@ -59,39 +59,39 @@ def test_volts_are_those_at_the_input_within_half_a_code(scope, bits):
     assert not waveform.clipped
 
 
-def test_a_wave_beyond_the_range_is_told_and_clipped(scope):
-    with opened(range_v=2.0) as its:
-        acquired = take(its.digitizer, scope, pulse_v(peak_v=3.0))
+def test_a_wave_that_exceeds_the_range_is_clipped_and_reported(scope):
+    with opened(range_v=2.0) as digitizer:
+        acquired = take(digitizer.digitizer, scope, pulse_v(peak_v=3.0))
     assert acquired.waveform.clipped
     assert acquired.settings["left_its_range"] == "yes"
 
 
 def test_a_falling_slope_takes_the_other_sign(scope):
-    with opened(trigger_slope="falling", trigger_level_v=-0.25) as its:
-        acquired = take(its.digitizer, scope, -pulse_v())
+    with opened(trigger_slope="falling", trigger_level_v=-0.25) as digitizer:
+        acquired = take(digitizer.digitizer, scope, -pulse_v())
     assert acquired.waveform.volts()[1_000] <= -0.25
     assert acquired.waveform.volts()[999] > -0.25
 
 
-def test_after_it_was_unplugged_the_next_shot_opens_it_anew(scope):
-    with opened() as its:
-        first = take(its.digitizer, scope, pulse_v())
-        its.digitizer.arm(KEY)
+def test_the_next_shot_opens_the_unit_again_after_it_was_unplugged(scope):
+    with opened() as digitizer:
+        first = take(digitizer.digitizer, scope, pulse_v())
+        digitizer.digitizer.arm(KEY)
         scope.unplug()
         with pytest.raises(ConnectionLostError, match="NOT_RESPONDING"):
-            its.digitizer.read(TIMEOUT_S)
+            digitizer.digitizer.read(TIMEOUT_S)
         scope.plugged_in = True
-        second = take(its.digitizer, scope, pulse_v())
+        second = take(digitizer.digitizer, scope, pulse_v())
     np.testing.assert_array_equal(first.waveform.counts, second.waveform.counts)
 
 
-def test_a_handle_of_before_is_a_lost_connection(scope):
-    with opened() as its:
-        its.digitizer.arm(KEY)
+def test_an_old_handle_is_a_lost_connection(scope):
+    with opened() as digitizer:
+        digitizer.digitizer.arm(KEY)
         scope.unplug()
         scope.plugged_in = True
         with pytest.raises(ConnectionLostError, match="INVALID_HANDLE"):
-            its.digitizer.read(TIMEOUT_S)
+            digitizer.digitizer.read(TIMEOUT_S)
 
 
 def test_a_unit_that_another_program_uses_is_busy(scope):
@@ -103,21 +103,21 @@ def test_a_unit_that_another_program_uses_is_busy(scope):
 
 
 def test_a_unit_still_at_work_is_busy(scope):
-    with opened() as its:
-        its.digitizer.arm(KEY)
+    with opened() as digitizer:
+        digitizer.digitizer.arm(KEY)
         with patch.object(scope, "bs_stop", lambda handle: Status.OK):
-            its.digitizer.disarm()
+            digitizer.digitizer.disarm()
         with pytest.raises(BusyError, match="bs_run_block says BUSY"):
-            its.digitizer.arm(KEY)
+            digitizer.digitizer.arm(KEY)
 
 
-def test_a_status_that_nobody_knows_is_told_as_it_came(scope):
-    with opened() as its, patch.object(scope, "bs_run_block", lambda *arguments: 0x1234):
+def test_the_error_shows_the_code_of_an_unknown_status(scope):
+    with opened() as digitizer, patch.object(scope, "bs_run_block", lambda *arguments: 0x1234):
         with pytest.raises(ConfigurationError, match="status 0x1234"):
-            its.digitizer.arm(KEY)
+            digitizer.digitizer.arm(KEY)
 
 
-def test_samples_that_are_missing_are_no_record(scope):
+def test_missing_samples_are_an_error(scope):
     real = scope.bs_get_values
 
     def short(handle, buffer, n_samples, overflow):
@@ -125,30 +125,30 @@ def test_samples_that_are_missing_are_no_record(scope):
         n_samples.contents.value -= 1
         return status
 
-    with opened() as its, patch.object(scope, "bs_get_values", short):
+    with opened() as digitizer, patch.object(scope, "bs_get_values", short):
         with pytest.raises(ConnectionLostError, match="13599 of 13600"):
-            take(its.digitizer, scope, pulse_v())
+            take(digitizer.digitizer, scope, pulse_v())
 
 
-def test_waiting_asks_seldom(scope, monkeypatch):
-    asked, now_s = [], [0.0]
+def test_a_wait_polls_rarely(scope, monkeypatch):
+    polls, now_s = [], [0.0]
     monkeypatch.setattr("block_scope.unit.time.monotonic", lambda: now_s[0])
 
     def sleep(seconds):
         now_s[0] += seconds
 
     def is_ready(handle, ready):
-        asked.append(now_s[0])
+        polls.append(now_s[0])
         return ScopeDouble.bs_is_ready(scope, handle, ready)
 
     monkeypatch.setattr("block_scope.unit.time.sleep", sleep)
     monkeypatch.setattr(scope, "bs_is_ready", is_ready)
-    with opened() as its:
-        its.digitizer.arm(KEY)
+    with opened() as digitizer:
+        digitizer.digitizer.arm(KEY)
         with pytest.raises(AcquisitionTimeoutError, match="no trigger within 1 s"):
-            its.digitizer.read(1.0)
+            digitizer.digitizer.read(1.0)
     # Each 2 ms, and once at the end.
-    assert len(asked) in (501, 502)
+    assert len(polls) in (501, 502)
     assert now_s[0] == pytest.approx(1.0)
 
 
@@ -159,7 +159,7 @@ def test_a_rate_that_would_be_rounded_is_refused(scope):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"record_samples": 500}, "pretrigger_samples is 1000"),
         ({"range_v": 3.0}, "range_v is 3.0; the oscilloscope has"),
@@ -167,8 +167,8 @@ def test_a_rate_that_would_be_rounded_is_refused(scope):
         ({"channels": {}}, "channels"),
     ],
 )
-def test_parameters_that_do_not_fit_each_other_are_refused(given, told):
-    with pytest.raises(ValidationError, match=told):
+def test_parameters_that_do_not_fit_each_other_are_refused(given, message):
+    with pytest.raises(ValidationError, match=message):
         BlockScopeParameters(**{"channels": {"B": "A"}, **given})
 
 
@@ -177,15 +177,15 @@ def test_a_position_without_an_input_is_refused_when_the_configuration_is_read()
         KIND.require(BlockScopeParameters(channels={"B": "A"}), {"digitizer": ("C",)})
 
 
-def test_it_says_who_it_is(scope):
-    with opened(serial=SERIAL) as its:
-        assert its.identity["serial"] == SERIAL
+def test_the_identity_is_reported(scope):
+    with opened(serial=SERIAL) as digitizer:
+        assert digitizer.identity["serial"] == SERIAL
     (finding,) = KIND.check(BlockScopeParameters(channels={"B": "A"}), OPENING)
     assert finding.state == "ok"
     assert SERIAL in finding.detail
 
 
-def test_a_library_that_is_not_there_is_named():
+def test_the_error_names_a_missing_library():
     with pytest.raises(ConfigurationError, match="no-such-library"):
         api.load("no-such-library")
 

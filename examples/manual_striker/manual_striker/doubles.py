@@ -1,4 +1,4 @@
-"""What takes the place of the relay board, below the unmodified pyserial's interface; and of a person."""
+"""Doubles of the relay board, below the unmodified pyserial's interface, and of a person."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAULTS = ("unplugged", "silent", "garbage", "held by another")
 
 
 class RelayBoardDouble:
-    """A board with relays, powered over its cable: unplugged, every relay falls off."""
+    """Board with relays, powered over its cable: when unplugged, every relay opens."""
 
     def __init__(self, positions: dict[int, str]) -> None:
         self._positions = positions
@@ -26,20 +26,20 @@ class RelayBoardDouble:
         self.fault = ""
 
     def answer(self, line: str) -> str:
-        """Obey a line and answer it."""
+        """Execute a line and answer it."""
         if line == "ver":
             return "00000008"
         match = re.fullmatch(r"relay (on|off|read) (\d+)", line)
         if match is None:
             return "unknown command"
-        word, number = match[1], int(match[2])
-        if word == "read":
+        verb, number = match[1], int(match[2])
+        if verb == "read":
             return "on" if number in self._on else "off"
-        self._set(number, word == "on")
+        self._set(number, verb == "on")
         return ""
 
     def fail(self, name: str) -> None:
-        """Begin to fail in a way of `FAULTS`; empty: work again."""
+        """Activate one of `FAULTS`; empty: work again."""
         self.fault = name
         if name == "unplugged":
             for number in sorted(self._on):
@@ -52,34 +52,34 @@ class RelayBoardDouble:
 
 
 class PortDouble:
-    """What pyserial would open: waits for nothing, so a silent board costs no time."""
+    """Port for pyserial without waiting, so a silent board costs no time."""
 
     def __init__(self, board: RelayBoardDouble) -> None:
         self._board = board
         self._received = b""
 
     def reset_input_buffer(self) -> None:
-        """Forget what was not read."""
+        """Discard unread data."""
         self._require_cable()
         self._received = b""
 
     def write(self, line: bytes) -> int:
-        """Take a line; it comes back before its answer."""
+        """Receive a line; it is echoed before its answer."""
         self._require_cable()
         text = line.decode("ascii").rstrip("\r")
-        told = self._board.answer(text)
+        response = self._board.answer(text)
         answers = {"silent": b"", "garbage": b"\xff\x81\x00\x7f\n\r>"}
-        self._received += answers.get(self._board.fault, f"{text}\n\r{told}\n\r>".encode("ascii"))
+        self._received += answers.get(self._board.fault, f"{text}\n\r{response}\n\r>".encode("ascii"))
         return len(line)
 
     def read_until(self, end: bytes) -> bytes:
-        """Give what has come up to the end, or all of it when the time is up."""
+        """Return the data up to the end, or all of it at the timeout."""
         self._require_cable()
         given, found, self._received = self._received.partition(end)
         return given + found
 
     def close(self) -> None:
-        """Close it; nothing is switched."""
+        """Close the port; nothing is switched."""
 
     def _require_cable(self) -> None:
         if self._board.fault == "unplugged":
@@ -88,7 +88,7 @@ class PortDouble:
 
 @contextmanager
 def relays() -> Iterator[Bench]:
-    """Let pyserial open a double."""
+    """Make pyserial open a double."""
     board = RelayBoardDouble({0: "B", 1: "C"})
 
     def open_port(port: str, **_: Any) -> PortDouble:

@@ -1,4 +1,4 @@
-"""A person who strikes when asked, as a kind of instrument."""
+"""Kind of instrument for a person who strikes on request."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hardware_drivers.measurement import ShotKey
 
 
 class HandParameters(BaseModel):
-    """Who is asked, and how."""
+    """Request text for the person."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -24,13 +24,13 @@ class HandParameters(BaseModel):
 
 
 class HandStriker:
-    """Asks and returns: the digitizer waits for the strike."""
+    """Striker that requests and returns: the digitizer waits for the strike."""
 
     def __init__(self, words: str, positions: tuple[str, ...], ask: Callable[[str], None]) -> None:
         self._words, self._positions, self._ask = words, positions, ask
 
     def strike(self, key: ShotKey) -> None:
-        """Ask for one strike."""
+        """Request one strike."""
         if key.position not in self._positions:
             raise ConfigurationError(
                 f"nobody strikes at {key.position!r}; name the striker in [rig.positions.{key.position}]"
@@ -38,7 +38,7 @@ class HandStriker:
         self._ask(self._words.format(position=key.position))
 
     def make_safe(self) -> None:
-        """Ask for nothing any more; there is no coil."""
+        """Withdraw the request; there is no coil."""
         self._ask("")
 
 

@@ -1,4 +1,4 @@
-"""A relay board at a serial port, as a kind of instrument.
+"""Kind of instrument for a relay board at a serial port.
 
 The board takes lines (``relay on 0``, ``relay off 0``, ``relay read 0``), each ended by a carriage return,
 and ends each answer with a ``>``. The computer makes the pulse: see the README for what that means.
@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
-from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, failed
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role, finding_of_error
 from hardware_drivers.measurement import ShotKey
 
 LONGEST_PULSE_S = 0.5
@@ -27,7 +27,7 @@ CABLE = "check the board's cable and the port's name"
 
 
 class RelayParameters(BaseModel):
-    """One relay board."""
+    """Parameters of one relay board."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -42,18 +42,18 @@ class RelayParameters(BaseModel):
 
 
 class RelayBoard:
-    """The board behind its port, which is opened anew after it was lost."""
+    """Board behind its port, which is opened again after a loss."""
 
     def __init__(self, port: str, reply_timeout_s: float) -> None:
         self._name, self._timeout_s = port, reply_timeout_s
         self._port: Any = None
 
     def switch_on(self, number: int) -> None:
-        """Switch a relay on; raises if it does not say that it is."""
+        """Switch a relay on; raise if the board does not confirm it."""
         self._switch(number, "on")
 
     def switch_off(self, number: int) -> None:
-        """Switch a relay off and read that back; a port that fails is opened anew once."""
+        """Switch a relay off and read that back; a failed port is opened again once."""
         for left in reversed(range(TRIES)):
             try:
                 self._switch(number, "off")
@@ -67,7 +67,7 @@ class RelayBoard:
                 return
 
     def version(self) -> str:
-        """Ask the board for its firmware."""
+        """Query the board's firmware version."""
         return self._ask("ver") or "unknown"
 
     def close(self) -> None:
@@ -78,12 +78,12 @@ class RelayBoard:
 
     def _switch(self, number: int, state: str) -> None:
         self._ask(f"relay {state} {number}")
-        told = self._ask(f"relay read {number}")
-        if told != state:
-            raise ConnectionLostError(f"relay {number} says {told!r} instead of {state!r}; {CABLE}")
+        actual = self._ask(f"relay read {number}")
+        if actual != state:
+            raise ConnectionLostError(f"relay {number} says {actual!r} instead of {state!r}; {CABLE}")
 
     def _ask(self, command: str) -> str:
-        """Send a line and give what stands between its echo and the prompt."""
+        """Send a line and return the text between its echo and the prompt."""
         import serial
 
         try:
@@ -105,18 +105,18 @@ class RelayBoard:
             raise ConnectionLostError(
                 f"no whole answer to {command!r} within {self._timeout_s:g} s, only {answer!r}; {CABLE}"
             )
-        words = answer[: -len(PROMPT)].decode("ascii", errors="replace").strip()
-        return words.removeprefix(command).strip()
+        response = answer[: -len(PROMPT)].decode("ascii", errors="replace").strip()
+        return response.removeprefix(command).strip()
 
 
 class RelayStriker:
-    """Pulses one relay a strike."""
+    """Striker that pulses one relay per strike."""
 
     def __init__(self, board: RelayBoard, parameters: RelayParameters) -> None:
         self._board, self._relays, self._pulse_s = board, parameters.relays, parameters.pulse_s
 
     def strike(self, key: ShotKey) -> None:
-        """Switch the position's relay on and off again; off was read back on return."""
+        """Switch the position's relay on and off again; off is confirmed on return."""
         if key.position not in self._relays:
             raise ConfigurationError(f"no relay for {key.position!r}; relays has: {', '.join(self._relays)}")
         number = self._relays[key.position]
@@ -127,7 +127,7 @@ class RelayStriker:
             self._board.switch_off(number)
 
     def make_safe(self) -> None:
-        """Switch every relay off, whatever the others say."""
+        """Switch every relay off, even if one of them fails."""
         errors = []
         for number in self._relays.values():
             try:
@@ -154,12 +154,12 @@ def _open(parameters: RelayParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def _check(parameters: RelayParameters, opening: Opening) -> Iterator[Finding]:
-    """Ask the board who it is; nothing is switched."""
+    """Check the identity of the board; nothing is switched."""
     board, subject = RelayBoard(parameters.port, parameters.reply_timeout_s), f"relay board {parameters.port}"
     try:
         yield Finding(subject=subject, check="answers", state="ok", detail=f"firmware {board.version()}")
     except InstrumentError as error:
-        yield failed(subject, "answers", error, CABLE)
+        yield finding_of_error(subject, "answers", error, CABLE)
     finally:
         board.close()
 

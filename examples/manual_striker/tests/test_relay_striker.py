@@ -1,4 +1,4 @@
-"""The relay board's dialogue, and that a coil goes off whatever happens in between."""
+"""Tests of the relay board's protocol, and that a coil goes off after any interruption."""
 
 import re
 
@@ -26,7 +26,7 @@ def board():
 
 @pytest.fixture
 def sent(board, monkeypatch):
-    """Every line that goes to the board, in order."""
+    """Return every line sent to the board, in order."""
     lines = []
     answer = board.answer
 
@@ -40,17 +40,17 @@ def sent(board, monkeypatch):
 
 @pytest.fixture
 def slept(board, monkeypatch):
-    """Let the board be found, and time pass at once."""
+    """Provide the board without waiting times."""
     seconds = []
     monkeypatch.setattr("serial.serial_for_url", lambda port, **_: PortDouble(board))
     monkeypatch.setattr(relay.time, "sleep", seconds.append)
     return seconds
 
 
-def test_a_strike_is_this_dialogue(slept, sent):
-    with KIND.open(PARAMETERS, OPENING) as its:
+def test_a_strike_sends_these_commands(slept, sent):
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         sent.clear()
-        its.striker.strike(KEY)
+        instruments.striker.strike(KEY)
         assert sent == ["relay on 1", "relay read 1", "relay off 1", "relay read 1"]
     assert slept == [0.1]
 
@@ -67,14 +67,14 @@ def test_an_interrupt_in_the_pulse_leaves_the_coil_off(slept, board, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr(relay.time, "sleep", interrupted)
-    with KIND.open(PARAMETERS, OPENING) as its:
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         with pytest.raises(KeyboardInterrupt):
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
         assert board.switchings == [("C", True), ("C", False)]
 
 
 def test_a_lost_answer_to_on_still_ends_in_off(slept, board, monkeypatch):
-    with KIND.open(PARAMETERS, OPENING) as its:
+    with KIND.open(PARAMETERS, OPENING) as instruments:
         real = board.answer
 
         def loses_one(line):
@@ -83,26 +83,26 @@ def test_a_lost_answer_to_on_still_ends_in_off(slept, board, monkeypatch):
 
         monkeypatch.setattr(board, "answer", loses_one)
         with pytest.raises(ConnectionLostError, match="no whole answer to 'relay on 1'"):
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
     assert board.switchings == [("C", True), ("C", False)]
 
 
-def test_a_relay_that_stays_on_is_told_with_what_to_pull(slept, board, monkeypatch):
+def test_the_error_names_the_plug_to_pull_when_a_relay_stays_on(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match=r"relay 1 may be on .* pull the coils' plug"):
-        with KIND.open(PARAMETERS, OPENING) as its:
+        with KIND.open(PARAMETERS, OPENING) as instruments:
             monkeypatch.setattr(board, "answer", lambda line: "" if "off" in line else real(line))
-            its.striker.strike(KEY)
+            instruments.striker.strike(KEY)
 
 
-def test_one_relay_that_does_not_answer_keeps_no_other_on(slept, board, monkeypatch):
+def test_the_other_relays_go_off_when_one_does_not_answer(slept, board, monkeypatch):
     real = board.answer
     with pytest.raises(ConnectionLostError, match="relay 0 may be on"):
-        with KIND.open(PARAMETERS, OPENING) as its:
+        with KIND.open(PARAMETERS, OPENING) as instruments:
             for line in ("relay on 0", "relay on 1"):
                 board.answer(line)
             monkeypatch.setattr(board, "answer", lambda line: "" if line.endswith("0") else real(line))
-            its.striker.make_safe()
+            instruments.striker.make_safe()
     assert board.switchings == [("B", True), ("C", True), ("C", False)]
 
 
@@ -142,6 +142,6 @@ def test_the_same_over_a_real_port(board, tmp_path):
     with SerialLink(tmp_path / "relays", answer, framing):
         (finding,) = KIND.check(parameters, OPENING)
         assert finding.detail == "firmware 00000008"
-        with KIND.open(parameters, OPENING) as its:
-            its.striker.strike(KEY)
+        with KIND.open(parameters, OPENING) as instruments:
+            instruments.striker.strike(KEY)
     assert board.switchings == [("C", True), ("C", False)]

@@ -1,1 +1,1 @@
-"""What a double consists of: boards, scopes, and how a test describes them."""
+"""Components of a double: boards, scopes, and their description."""

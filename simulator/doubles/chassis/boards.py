@@ -1,4 +1,4 @@
-"""The kinds of board the doubles know, with the figures of their data sheets.
+"""Board types of the doubles, with the figures of their data sheets.
 
 What differs from one board to the next of a kind (serial number, slot, errors of the ADC) is in
 `description`.
@@ -17,7 +17,7 @@ from simulator.parameters.electronics import AdcParameters
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardType:
-    """One product.
+    """Board type.
 
     Attributes
     ----------
@@ -53,16 +53,16 @@ class BoardType:
 
     @property
     def raw_sample_bits(self) -> int:
-        """Width of a sample as the board delivers it."""
+        """Return the width of a sample as the board delivers it."""
         return 16 if self.resolution_bits <= 16 else 32
 
     def coerced_rate_hz(self, rate_hz: float) -> float:
-        """Next rate at or above the one asked for that divides the timebase."""
+        """Return the next rate at or above the requested one that divides the timebase."""
         divisor = max(int(self.timebase_hz / rate_hz * (1.0 + 1e-12)), 1)
         return self.timebase_hz / divisor
 
     def coerced_range_v(self, reach_v: float) -> float | None:
-        """Smallest range that holds the reach, None if none does."""
+        """Return the smallest range that holds the reach, None if none does."""
         return next((limit for limit in self.ranges_v if limit >= reach_v * (1.0 - 1e-12)), None)
 
 
@@ -127,12 +127,12 @@ BOARD_TYPES: Mapping[str, BoardType] = MappingProxyType({kind.product: kind for 
 
 
 def terminal_of_line(line: str) -> str:
-    """Terminal that a digital line is: ports 1 and 2 are PFI0 to PFI15, another line is only itself."""
+    """Return the terminal of a digital line: ports 1 and 2 are PFI0 to PFI15, another line is only itself."""
     return _PFI_OF_LINE.get(line, line)
 
 
 def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
-    """Terminals of a board of this name, as `Dev.Terminals` lists them."""
+    """Return the terminals of a board of this name, as `Dev.Terminals` lists them."""
     counters = [
         f"Ctr{index}{part}"
         for index in range(len(kind.counter_terminals))
@@ -145,7 +145,10 @@ def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
 
 
 def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
-    """Scaling polynomial of a board in one range; `offset_shift_v` is what self-calibration changed."""
+    """Return the scaling polynomial of a board in one range.
+
+    `offset_shift_v` is the effect of self-calibration.
+    """
     calibration = adc_calibration(adc)
     coefficients_v = calibration.coefficients_v.copy()
     coefficients_v[0] += offset_shift_v

@@ -1,4 +1,4 @@
-"""What reaches a sensor's input without a wave: the coil's switching, and the mains."""
+"""Crosstalk at a sensor's input without a wave: the coil's switching, and the mains."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FADED_V = 1e-5
 
 @bounded
 class Crosstalk:
-    """Voltage that a coil couples into the sensor beside it, and hum; nothing unless told.
+    """Voltage that a coil couples into the sensor next to it, and hum; none by default.
 
     Each edge of the pulse starts ``height exp(-t / decay_s) cos(2 pi ringing_hz t)``.
     """
@@ -47,12 +47,12 @@ class Crosstalk:
 
     @property
     def silent(self) -> bool:
-        """Tell whether nothing is coupled at all."""
+        """Return whether nothing is coupled at all."""
         return not (self.on_v or self.off_v or self.flyback_v or self.hum_v)
 
     @property
     def reach_s(self) -> float:
-        """Longest time after an edge at which it is still seen."""
+        """Return the longest time after an edge at which the voltage is still visible."""
         tallest_v = max(abs(self.on_v), abs(self.off_v))
         fading_s = self.decay_s * math.log(max(tallest_v / FADED_V, 1.0))
         return max(self.bounces * self.bounce_s + fading_s, self.flyback_s if self.flyback_v else 0.0)
@@ -60,7 +60,7 @@ class Crosstalk:
     def volts(
         self, pulses: Iterable[tuple[int, int]], first_ns: float, rate_hz: float, samples: int
     ) -> FloatArray:
-        """Voltage at the input, shape (samples,).
+        """Return the voltage at the input, shape (samples,).
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class Crosstalk:
 def _after(
     volts: FloatArray, since_s: float, length_s: float, rate_hz: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Give the part of the samples that lies within a time from an edge on, and that time of each."""
+    """Return the samples within a time after an edge, and the time of each."""
     first = min(max(math.ceil(since_s * rate_hz), 0), volts.size)
     last = min(max(math.ceil((since_s + length_s) * rate_hz), first), volts.size)
     return volts[first:last], np.arange(first, last) / rate_hz - since_s

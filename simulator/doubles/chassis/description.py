@@ -1,4 +1,4 @@
-"""What a double consists of: boards, wiring, the specimen behind them. Frozen, bounded, JSON in and out."""
+"""Description of a double: boards, wiring, the specimen behind them. Frozen, bounded, JSON in and out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
 @bounded
 class BoardParameters:
-    """One board in the chassis."""
+    """Board in the chassis."""
 
     serial_number: Annotated[int, Ge(0), Le(0xFFFFFFFF)]
     """What a driver finds the board by; NI's simulated devices have 0."""
@@ -58,11 +58,11 @@ class BoardParameters:
 
     @property
     def kind(self) -> BoardType:
-        """The product's figures."""
+        """Return the product's figures."""
         return BOARD_TYPES[self.product]
 
     def adc(self, record: AdcParameters) -> AdcParameters:
-        """ADC of this board for a record; ValueError where the twin has no such ADC."""
+        """Return the ADC of this board for a record; ValueError where the twin has no such ADC."""
         return replace(
             record,
             resolution_bits=self.kind.resolution_bits,
@@ -76,7 +76,7 @@ class BoardParameters:
 
 @bounded
 class TransducerWiring:
-    """Where one solitary-wave transducer is connected, and what it stands on."""
+    """Wiring of one solitary-wave transducer, and the plate under it."""
 
     ai_serial: int
     """Board that samples the sensor."""
@@ -100,7 +100,7 @@ class TransducerWiring:
 
 @bounded
 class ProbeWiring:
-    """Where one ultrasonic probe is connected.
+    """Wiring of one ultrasonic probe.
 
     Its pulser-receiver fires by itself and sends a sync each time.
     """
@@ -125,7 +125,7 @@ class ProbeWiring:
 
 @bounded
 class Description:
-    """One double.
+    """Description of one double.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class Description:
 
     @property
     def all_scopes(self) -> tuple[ScopeParameters, ...]:
-        """NI-SCOPE boards, the default ones too."""
+        """Return the NI-SCOPE boards, the default ones included."""
         named = {scope.name for scope in self.scopes}
         missing = dict.fromkeys(
             probe.resource for probe in self.probes.values() if probe.resource not in named
@@ -196,12 +196,12 @@ _ADAPTER = TypeAdapter(Description)
 
 
 def to_json(description: Description) -> str:
-    """JSON text of a description."""
+    """Return the JSON text of a description."""
     return _ADAPTER.dump_json(description, indent=1).decode()
 
 
 def from_json(text: str) -> Description:
-    """Read a JSON text; pydantic's ValidationError names the key that is wrong."""
+    """Read a JSON text; pydantic's ValidationError names the wrong key."""
     return _ADAPTER.validate_json(text)
 
 
@@ -221,7 +221,10 @@ def _footprint(size_m: float) -> CorrosionParameters:
 
 
 def default_description(twin: TwinParameters | None = None) -> Description:
-    """Four boards of different kinds; the paper's B, C and D each on another one, probe A beside them."""
+    """Return four boards of different kinds.
+
+    The paper's B, C and D each on another one, probe A next to them.
+    """
     boards = (SIMULTANEOUS_18_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_12_BIT, SLOW)
     wide, usual, narrow, _ = (board.serial_number for board in boards)
     return Description(

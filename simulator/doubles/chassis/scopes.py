@@ -1,4 +1,4 @@
-"""The kind of board behind the NI-SCOPE double: its figures and its ADC.
+"""Board type of the NI-SCOPE double: its figures and its ADC.
 
 The default follows NI's PXI-5122: two channels, 14 bits in 16, 100 MS/s, codes that reach a little beyond
 the range, and a gain and an offset of its own.
@@ -21,7 +21,7 @@ SAMPLE_BITS = 16
 
 @bounded
 class ScopeParameters:
-    """One digitizer board."""
+    """Digitizer board."""
 
     name: str = "PXI1Slot4"
     """Resource name under which it is found."""
@@ -51,7 +51,7 @@ class ScopeParameters:
     """Temperature at both."""
 
     def calibration(self, range_v: float, vertical_offset_v: float) -> Calibration:
-        """Scaling of the unpadded codes."""
+        """Return the scaling of the unpadded codes."""
         half = float(1 << (self.resolution_bits - 1))
         gain_v = range_v * (1.0 + self.over_range_fraction) / half * (1.0 + self.gain_error_fraction)
         return Calibration(
@@ -62,19 +62,19 @@ class ScopeParameters:
 
     @property
     def serial_text(self) -> str:
-        """Serial number as the board reports it."""
+        """Return the serial number as the board reports it."""
         return f"{self.serial_number:08X}"
 
     @property
     def padding(self) -> int:
-        """Distance of two neighbouring codes as handed over: 4 for 14 bits in 16."""
+        """Return the distance of two neighbouring codes in the driver's integers: 4 for 14 bits in 16."""
         return 1 << (SAMPLE_BITS - self.resolution_bits)
 
     def next_range_v(self, asked_v: float) -> float | None:
-        """Smallest range that holds the one asked for, None beyond the largest."""
+        """Return the smallest range that holds the requested one, None above the largest."""
         return next((range_v for range_v in sorted(self.ranges_v) if range_v >= asked_v * (1.0 - 1e-9)), None)
 
     def next_rate_hz(self, asked_hz: float) -> float | None:
-        """Lowest rate that is not below the one asked for, None beyond the highest."""
+        """Return the lowest rate that is not below the requested one, None above the highest."""
         divisor = math.floor(self.maximum_rate_hz / asked_hz * (1.0 + 1e-9))
         return self.maximum_rate_hz / divisor if divisor >= 1 else None

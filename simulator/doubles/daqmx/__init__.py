@@ -1,1 +1,1 @@
-"""Behind NI-DAQmx's door: tasks, channels, lines, routes, the watchdog."""
+"""NI-DAQmx double: tasks, channels, lines, routes, the watchdog."""

@@ -1,4 +1,4 @@
-"""Entry points of analog input: making a channel, setting it up, reading it."""
+"""Entry points of analog input: create a channel, configure it, read it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simulator.doubles.daqmx.analog_input import (
     Acquisition,
     InputChannel,
     record_samples,
-    recorded,
+    recorded_codes,
 )
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
@@ -28,7 +28,7 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCreateAIVoltageChan`."""
+    """Answer `DAQmxCreateAIVoltageChan`."""
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
     if not minimum_v < maximum_v:
@@ -39,7 +39,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
     configuration = arguments["terminal_config"]
     if configuration not in (DEFAULT_CONFIGURATION, device.kind.terminal_configuration):
         detail = f"You Can Select: {device.kind.terminal_configuration}"
-        raise statuses.unfit(task.name, "AI.TermCfg", detail, requested=configuration)
+        raise statuses.rejected_property(task.name, "AI.TermCfg", detail, requested=configuration)
     task.take_channel(
         "ai",
         InputChannel(
@@ -54,7 +54,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
-    """Note settings of an input task."""
+    """Store settings of an input task."""
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
@@ -64,10 +64,10 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 
 
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgSampClkTiming`."""
+    """Answer `DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
-        raise statuses.unfit(task.name, "SampClk.Src", detail, requested=arguments["source"])
+        raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
     _change(
         task,
         {
@@ -80,7 +80,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgAnlgEdgeRefTrig`."""
+    """Answer `DAQmxCfgAnlgEdgeRefTrig`."""
     _change(
         task,
         {
@@ -94,12 +94,12 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
 
 def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxDisableRefTrig`."""
+    """Answer `DAQmxDisableRefTrig`."""
     _change(task, {"RefTrig.Type": NO_TRIGGER})
 
 
 def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:
-    """Wait for samples and take them, shape (count,); a task that does not run is started."""
+    """Wait for samples and return them, shape (count,); a task that does not run is started."""
     if task.state is not TaskState.RUNNING:
         tasks.start(bench, task)
     run: Acquisition = task.run
@@ -122,7 +122,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
         values={"samps_per_chan_read": 0},
     )
     tasks.wait(bench, task, timeout_s, late)
-    codes = None if run.ended else recorded(bench, task)
+    codes = None if run.ended else recorded_codes(bench, task)
     if codes is None:
         raise late
     first = run.read_samples
@@ -131,7 +131,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
 
 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxReadBinary..`: raw codes in the width asked for."""
+    """Answer `DAQmxReadBinary..`: raw codes in the requested width."""
     if task.kind != "ai":
         raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)
     bits, raw_bits = np.dtype(dtype).itemsize * 8, task.device.kind.raw_sample_bits

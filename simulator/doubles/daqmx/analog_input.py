@@ -12,7 +12,13 @@ from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import FALLING, fire, require_start_route, short_name, waits_for
+from simulator.doubles.daqmx.routing import (
+    FALLING,
+    fire_edge,
+    require_start_route,
+    short_name,
+    start_trigger_of,
+)
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
 from simulator.doubles.vendor_api import statuses
@@ -40,7 +46,7 @@ LONGEST_TRAVEL_NS = NS_PER_S
 
 @dataclass(slots=True, eq=False)
 class InputChannel:
-    """One virtual channel."""
+    """Virtual input channel."""
 
     name: str
     device: Device
@@ -50,12 +56,12 @@ class InputChannel:
 
     @property
     def physical_name(self) -> str:
-        """Board and input."""
+        """Return board and input."""
         return f"{self.device.name}/ai{self.number}"
 
     @property
     def range_v(self) -> float:
-        """Range that the board takes for these limits.
+        """Return the range that the board takes for these limits.
 
         Raises
         ------
@@ -74,13 +80,13 @@ class InputChannel:
 
     @property
     def calibration(self) -> Calibration:
-        """Scaling polynomial as the board holds it now."""
+        """Return the board's present scaling polynomial."""
         return self.device.calibration(self.range_v)
 
 
 @dataclass(slots=True, eq=False)
 class Acquisition:
-    """What a started task acquires.
+    """Acquisition of a started task.
 
     Attributes
     ----------
@@ -108,7 +114,7 @@ class Acquisition:
 
 
 class AnalogInput:
-    """`tasks.TaskKind` of analog input."""
+    """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
         """Check limits, rate, record and trigger against the board."""
@@ -116,40 +122,40 @@ class AnalogInput:
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
             detail = "The double samples with a sample clock only."
-            raise statuses.unfit(task.name, "SampTimingType", detail)
+            raise statuses.rejected_property(task.name, "SampTimingType", detail)
         _verify_record(task)
         _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """One timing engine a board: its analog input belongs to one task at a time."""
+        """Return one timing engine per board: its analog input belongs to one task at a time."""
         return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Nothing drives a line here."""
+        """Do nothing: analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Sample from now on, or from the start trigger on."""
-        task.begun += 1
+        """Start sampling now, or at the start trigger."""
+        task.n_starts += 1
         if task.device.parameters.simulated:
-            codes = counts_of(_made_up_volts(task), task.channel.calibration)
+            codes = counts_of(_simulated_volts(task), task.channel.calibration)
             task.run = Acquisition(begin_ns=now_ns, done_ns=now_ns, codes=codes)
             return
-        task.run = Acquisition(begin_ns=None if waits_for(task) else now_ns)
+        task.run = Acquisition(begin_ns=None if start_trigger_of(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Begin sampling and tell whoever waits for this board's start trigger."""
+        """Start sampling and notify all waiters for this board's start trigger."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
-        fire(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
+        fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Drop what was acquired."""
+        """Discard the acquired samples."""
         if task.run is not None:
             task.run.ended = True
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """When the record is complete as far as the strikes known now tell."""
+        """Return when the record is complete, as far as the known strikes determine it."""
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
@@ -160,12 +166,12 @@ class AnalogInput:
         return run.done_ns
 
 
-def _made_up_volts(task: Task) -> FloatArray:
-    """Full-scale sine wave with three percent of noise, as NI's driver makes it up for a simulated device.
+def _simulated_volts(task: Task) -> FloatArray:
+    """Return a full-scale sine wave with 3 % noise, as NI's driver does for a simulated device.
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
     """
-    random = np.random.default_rng([task.channel.number, task.begun])
+    random = np.random.default_rng([task.channel.number, task.n_starts])
     samples = np.arange(record_samples(task))
     sine = np.sin(2.0 * np.pi * samples / SINE_SAMPLES + 2.0 * np.pi * random.random())
     noise = random.uniform(-SINE_NOISE, SINE_NOISE, samples.size)
@@ -173,7 +179,7 @@ def _made_up_volts(task: Task) -> FloatArray:
 
 
 def rate_hz(task: Task) -> float:
-    """Sample rate that the board takes.
+    """Return the sample rate that the board takes.
 
     Raises
     ------
@@ -185,19 +191,19 @@ def rate_hz(task: Task) -> float:
     limit_hz = kind.max_rate_hz
     # The timebase divided by a whole number may exceed the limit by a rounding error.
     if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
-        raise statuses.unfit(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
+        raise statuses.rejected_property(task.name, "SampClk.Rate", requested=asked_hz, maximum=limit_hz)
     coerced_hz = kind.coerced_rate_hz(asked_hz)
     return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
 
 
 def start_delay_s(task: Task) -> float:
-    """Time from the start trigger to the first sample that the board takes: whole ticks of its timebase."""
+    """Return the time from the start trigger to the first sample, in whole ticks of the board's timebase."""
     timebase_hz = task.device.kind.timebase_hz
     return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
 
 
 def record_samples(task: Task) -> int:
-    """Return the length of the record, in samples a channel."""
+    """Return the length of the record, in samples per channel."""
     return int(task.settings.get("SampQuant.SampPerChan", 1000))
 
 
@@ -207,36 +213,42 @@ def _has_reference_trigger(task: Task) -> bool:
 
 def _verify_start(bench: Bench, task: Task) -> None:
     """Check that the start trigger can reach the board, and the delay after it."""
-    if waits_for(task):
+    if start_trigger_of(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
         return
     if task.settings.get("StartTrig.DelayUnits") != SECONDS:
-        raise statuses.unfit(task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only.")
+        raise statuses.rejected_property(
+            task.name, "StartTrig.DelayUnits", "The double takes a delay in seconds only."
+        )
     shortest, longest = task.device.kind.start_delay_ticks
     ticks = start_delay_s(task) * task.device.kind.timebase_hz
     if not shortest <= ticks <= longest:
         code = statuses.START_DELAY_TOO_SHORT if ticks < shortest else statuses.START_DELAY_TOO_LONG
         requested = f"{ticks} ticks of {shortest} to {longest}"
-        raise statuses.unfit(task.name, "StartTrig.Delay", code=code, requested=requested)
+        raise statuses.rejected_property(task.name, "StartTrig.Delay", code=code, requested=requested)
 
 
 def _verify_record(task: Task) -> None:
-    """Finite, and with room for the pre-trigger; the trigger on a channel of the task."""
+    """Check that the record is finite and holds the pre-trigger, and that the trigger is a task's channel."""
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
-        raise statuses.unfit(task.name, "SampQuant.SampMode", "The double samples finite records only.")
+        raise statuses.rejected_property(
+            task.name, "SampQuant.SampMode", "The double samples finite records only."
+        )
     samples = record_samples(task)
     if samples < SMALLEST_RECORD:
         name = "SampQuant.SampPerChan"
-        raise statuses.unfit(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
+        raise statuses.rejected_property(task.name, name, requested=samples, minimum=SMALLEST_RECORD)
     if not _has_reference_trigger(task):
         return
     pretrigger = int(settings["RefTrig.PretrigSamples"])
     if not 2 <= pretrigger <= samples - 2:
         name, code = "RefTrig.PretrigSamples", statuses.TOO_MANY_PRETRIGGER_SAMPLES
         most = samples - 2
-        raise statuses.unfit(task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most)
+        raise statuses.rejected_property(
+            task.name, name, code=code, requested=pretrigger, minimum=2, maximum=most
+        )
     channel: InputChannel = task.channel
     source = str(settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
     if source not in (channel.name.casefold(), channel.physical_name.casefold()):
@@ -244,7 +256,7 @@ def _verify_record(task: Task) -> None:
     level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
     if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
         name, detail = "AnlgEdge.RefTrig.Lvl", "The double triggers on a rising edge above 0 V."
-        raise statuses.unfit(task.name, name, detail, requested=level_v, maximum=channel.range_v)
+        raise statuses.rejected_property(task.name, name, detail, requested=level_v, maximum=channel.range_v)
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
@@ -259,7 +271,7 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
 
 
 def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find what triggers first: hardware ignores what comes before the pre-trigger is full."""
+    """Find the first trigger: hardware ignores triggers before the pre-trigger is full."""
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
     found = _first_wave(bench, task, run, filled_ns)
@@ -284,7 +296,7 @@ def _after_trigger_ns(task: Task) -> int:
 def _first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
-    """Find the first strike whose wave passes the level, its record and when it does."""
+    """Find the first strike whose wave crosses the level, its record and the time of the crossing."""
     position = _position(bench, task.channel)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
@@ -308,7 +320,7 @@ def _first_wave(
 
 
 def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wave_ns: int | None) -> bool:
-    """Take a record that crosstalk or hum starts before the wave does, if there is one.
+    """Return a record that crosstalk or hum triggers before the wave does, if there is one.
 
     The comparator sees the same noise as the record that follows.
     """
@@ -334,7 +346,7 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     adc = replace(
         _adc(task, SMALLEST_RECORD, level_v), record_samples=looked_at + record_samples(task) - pretrigger
     )
-    key = ShotKey(position=position, set_index=0, shot_index=task.begun)
+    key = ShotKey(position=position, set_index=0, shot_index=task.n_starts)
     volts = bench.strikes.free_volts(key, first_ns, adc, task.channel.calibration)
     at: int = rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
     if at < 0:
@@ -345,14 +357,14 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
     return True
 
 
-def recorded(bench: Bench, task: Task) -> Counts | None:
-    """Codes of a record whose time is over; without a trigger it is whatever came."""
+def recorded_codes(bench: Bench, task: Task) -> Counts | None:
+    """Return the codes of a finished record; without a trigger, of the present input."""
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
         return run.codes
     channel: InputChannel = task.channel
     place = _position(bench, channel) or channel.physical_name
-    key = ShotKey(position=place, set_index=0, shot_index=task.begun)
+    key = ShotKey(position=place, set_index=0, shot_index=task.n_starts)
     adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
     volts = bench.strikes.free_volts(key, run.begin_ns, adc, channel.calibration)
     run.codes = counts_of(volts, channel.calibration)
@@ -360,7 +372,7 @@ def recorded(bench: Bench, task: Task) -> Counts | None:
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:
-    """Position whose sensor is wired to this input."""
+    """Return the position whose sensor is wired to this input."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
         if (wiring.ai_serial, wiring.ai_channel) == wanted:
@@ -368,8 +380,8 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
     return None
 
 
-def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Look again where a record counted on a strike that was cut short or called off."""
+def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
+    """Search again for the trigger of a record whose strike was cut short or cancelled."""
     for task in bench.tasks.values():
         run = task.run
         if isinstance(run, Acquisition):
@@ -378,11 +390,11 @@ def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
                 run.strike = run.codes = run.done_ns = None
 
 
-def started_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
-    """Correct what counted on an edge of a pulse that ends now, before its time."""
+def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
+    """Correct the tasks that depend on an edge of a pulse that ends early."""
     for task in bench.tasks.values():
         run = task.run
-        if not isinstance(run, Acquisition) or run.ended or waits_for(task) != short_name(terminal):
+        if not isinstance(run, Acquisition) or run.ended or start_trigger_of(task) != short_name(terminal):
             continue
         if pulse.start_ns > now_ns:
             run.begin_ns = None

@@ -1,4 +1,4 @@
-"""What reading and setting attributes of any family have in common."""
+"""Reading and setting of attributes of any family."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Subject = TypeVar("Subject")
 
 
 def _attribute_of(arguments: Arguments, family: str) -> Attribute:
-    """Attribute a call names; Status if the double answers none such."""
+    """Return the attribute of a call; raise Status for an unknown one."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
         raise Status(
@@ -26,7 +26,7 @@ def _attribute_of(arguments: Arguments, family: str) -> Attribute:
 def look_up(
     values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
 ) -> Answer:
-    """Answer with a value; Status if this kind of subject has none."""
+    """Return the value of an attribute; raise Status if this kind of subject has none."""
     name = _attribute_of(arguments, family).name
     if name not in values:
         raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
@@ -39,7 +39,7 @@ def listed(items: Iterable[str]) -> str:
 
 
 def settable(task: Task, arguments: Arguments, family: str) -> str:
-    """Name of the attribute that a call may set now."""
+    """Return the name of the attribute that a call may set now."""
     attribute = _attribute_of(arguments, family)
     if not attribute.settable:
         raise Status(statuses.ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)

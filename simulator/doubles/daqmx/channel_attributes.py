@@ -38,7 +38,7 @@ _PULSE_CHANNEL: Mapping[str, Callable[[PulseChannel], object]] = {
 
 
 def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
-    """Channel by name; no name means the one there is."""
+    """Return a channel by name; no name means the only one."""
     channel = task.channel
     if not isinstance(channel, InputChannel | PulseChannel):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channel.", task=task.name)
@@ -49,13 +49,13 @@ def _named_channel(task: Task, name: str) -> InputChannel | PulseChannel:
 
 
 def _terminal(device: Device, name: str) -> str:
-    """Terminal of a board, with or without the board's name before it; empty if there is none."""
+    """Return the terminal of a board, with or without the board's name; empty if there is none."""
     known = {short_name(end): end.split("/", 2)[2] for end in terminals(device.kind, device.name)}
     return known.get(short_name(name if "/" in name.strip("/") else f"{device.name}/{name}"), "")
 
 
 def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxGetChanAttribute`."""
+    """Answer `DAQmxGetChanAttribute`."""
     channel = _named_channel(task, arguments["channel"])
     if isinstance(channel, InputChannel):
         return look_up(_INPUT_CHANNEL, arguments, "Chan", channel)
@@ -63,7 +63,7 @@ def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
 
 
 def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxSetChanAttribute`: the coupling that a board has, or where a pulse leaves it."""
+    """Answer `DAQmxSetChanAttribute`: the coupling that a board has, or the output terminal of a pulse."""
     name, value = settable(task, arguments, "Chan"), arguments["value"]
     channel = _named_channel(task, arguments["channel"])
     if (name == "AI.Coupling") != isinstance(channel, InputChannel):

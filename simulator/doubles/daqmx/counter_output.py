@@ -1,4 +1,4 @@
-"""A counter's pulse, and the coil and striker it moves."""
+"""Counter pulse, and the coil and striker it moves."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.daqmx.analog_input import forget_strike, started_by
+from simulator.doubles.daqmx.analog_input import correct_started_tasks, search_again
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import FALLING, RISING, fire, waits_for
+from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, start_trigger_of
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, unfit
+from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, rejected_property
 
 LOW = 10214
 HIGH = 10192
@@ -24,7 +24,7 @@ COUNTER_BITS = 32
 
 @dataclass(slots=True, eq=False)
 class PulseChannel:
-    """One counter that makes a pulse; between pulses its pin is low."""
+    """Counter that generates one pulse; between pulses its pin is low."""
 
     name: str
     device: Device
@@ -35,28 +35,28 @@ class PulseChannel:
 
     @property
     def physical_name(self) -> str:
-        """Board and counter."""
+        """Return board and counter."""
         return f"{self.device.name}/ctr{self.number}"
 
     @property
     def pin(self) -> str:
-        """Where the pulse leaves the board."""
+        """Return the terminal where the pulse leaves the board."""
         return self.terminal or self.device.kind.counter_terminals[self.number]
 
     @property
     def internal_output(self) -> str:
-        """Terminal inside the board that follows the counter wherever its pin is routed."""
+        """Return the terminal inside the board that follows the counter, independent of the pin's route."""
         return f"Ctr{self.number}InternalOutput"
 
     @property
     def line(self) -> str:
-        """Physical line in the record."""
+        """Return the physical line in the record."""
         return f"{self.device.serial_number}/{self.pin}"
 
 
 @dataclass(slots=True, eq=False)
 class Generation:
-    """What a started task generates: begin None while a start trigger is awaited."""
+    """Pulse generation of a started task: start is None while a start trigger is awaited."""
 
     begin_ns: int | None
     pulse: Pulse | None = None
@@ -64,7 +64,7 @@ class Generation:
 
 
 class CounterOutput:
-    """`tasks.TaskKind` of pulse generation."""
+    """Pulse generation as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
         """Check the times against the counter: at least two ticks, at most its width."""
@@ -74,7 +74,9 @@ class CounterOutput:
             ("CO.Pulse.HighTime", task.channel.high_s, 2.0 / TIMEBASE_HZ),
         ):
             if not shortest_s <= time_s <= longest_s:
-                raise unfit(task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s)
+                raise rejected_property(
+                    task.name, name, requested=time_s, minimum=shortest_s, maximum=longest_s
+                )
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """Reserve the counter, and the pin it drives."""
@@ -87,13 +89,13 @@ class CounterOutput:
         bench.lines.drive(task.channel.line, 0, bench.settle(), "idle")
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Count from now on, or from the start trigger on."""
+        """Start counting now, or at the start trigger."""
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
                 raise Status(WATCHDOG_EXPIRED, task=task.name)
-        task.begun += 1
-        task.run = Generation(begin_ns=None if waits_for(task) else now_ns)
+        task.n_starts += 1
+        task.run = Generation(begin_ns=None if start_trigger_of(task) else now_ns)
         if task.run.begin_ns is not None:
             self.triggered(bench, task, now_ns)
 
@@ -110,44 +112,44 @@ class CounterOutput:
         bench.lines.start(pulse)
         for terminal in (channel.pin, channel.internal_output):
             for edge, edge_ns in ((RISING, pulse.start_ns), (FALLING, pulse.end_ns)):
-                fire(bench, f"/{channel.device.name}/{terminal}", edge_ns, edge)
+                fire_edge(bench, f"/{channel.device.name}/{terminal}", edge_ns, edge)
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Take the line low; a striker that hangs there falls now."""
+        """Take the line low; a lifted striker falls now."""
         run: Generation | None = task.run
         if run is None:
             return
         cut(bench, task, 0, now_ns, cause)
         if run.pulse is not None and run.pulse.end_ns > now_ns:
             for name in (task.channel.pin, task.channel.internal_output):
-                started_by(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
+                correct_started_tasks(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """When the pulse is over."""
+        """Return when the pulse ends."""
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
 def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
-    """Take a pin away from its counter, which counts on: by itself a task is done when it would have been."""
+    """Disconnect a pin from its counter, which counts on, so that the task is done at its planned time."""
     run: Generation = task.run
     bench.lines.cut(task.channel.line, level, now_ns, cause)
     strike, run.strike = run.strike, None
     if strike is not None and strike.released_ns > now_ns:
         # It still hangs: now it falls.
         bench.strikes.cut(strike, now_ns)
-        forget_strike(bench, strike, now_ns)
+        search_again(bench, strike, now_ns)
     bench.changed.notify_all()
 
 
 def _ns(time_s: float) -> int:
-    """Time in whole ticks of the counter's timebase."""
+    """Return a time in whole ticks of the counter's timebase."""
     return round(time_s * TIMEBASE_HZ) * round(NS_PER_S / TIMEBASE_HZ)
 
 
 def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
-    """Striker that a pulse lifts and drops: the coil holds while its line is high."""
+    """Return the strike of a pulse: the striker is held while the coil's line is high."""
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
         return None
@@ -158,12 +160,12 @@ def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
 
 
 def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCreateCOPulseChanTime`."""
+    """Answer `DAQmxCreateCOPulseChanTime`."""
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:
         detail = "The double's pins are low between pulses."
-        raise unfit(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
+        raise rejected_property(task.name, "CO.Pulse.IdleState", detail, requested=arguments["idle_state"])
     task.take_channel(
         "co",
         PulseChannel(

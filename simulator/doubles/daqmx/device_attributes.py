@@ -44,17 +44,17 @@ _CALIBRATION: Mapping[str, Callable[[Device], object]] = {
 
 
 def get_system(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetSystemInfoAttribute`."""
+    """Answer `DAQmxGetSystemInfoAttribute`."""
     return look_up(_SYSTEM, arguments, "SystemInfo", bench)
 
 
 def get_device(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetDeviceAttribute`."""
+    """Answer `DAQmxGetDeviceAttribute`."""
     return look_up(_DEVICE, arguments, "Device", bench.devices.find(arguments["device_name"]))
 
 
 def get_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetCalInfoAttribute`."""
+    """Answer `DAQmxGetCalInfoAttribute`."""
     return look_up(_CALIBRATION, arguments, "CalInfo", bench.devices.find(arguments["device_name"]))
 
 

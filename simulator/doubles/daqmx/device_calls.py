@@ -17,8 +17,8 @@ from simulator.doubles.vendor_api.wire import names_of
 POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
-def _present(bench: Bench, name: str) -> Device:
-    """Board for an operation on the hardware itself: one that is gone is absent (-200324)."""
+def _require_present(bench: Bench, name: str) -> Device:
+    """Return the board for an operation on the hardware itself; a removed one is absent (-200324)."""
     try:
         return bench.devices.find(name)
     except Status as status:
@@ -27,8 +27,8 @@ def _present(bench: Bench, name: str) -> Device:
         raise Status(statuses.DEVICE_ABSENT, f"Device Specified: {name}") from status
 
 
-def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
-    """Whoever used the board loses it, and its lines go low."""
+def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
+    """Take a board away from its tasks and set its lines low."""
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
             tasks.lose(bench, task, status, cause)
@@ -40,16 +40,16 @@ def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
 
 
 def reset(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxResetDevice`: whoever used the board loses it, its lines go low, its routes are gone."""
-    device = _present(bench, arguments["device_name"])
-    _taken_away(bench, device, statuses.DEVICE_ABORTED, "reset")
+    """Answer `DAQmxResetDevice`: tasks lose the board, its lines go low, its routes are removed."""
+    device = _require_present(bench, arguments["device_name"])
+    _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxSelfCal`: only while no task holds the board."""
-    device = _present(bench, arguments["device_name"])
+    """Answer `DAQmxSelfCal`: only while no task holds the board."""
+    device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
             statuses.RESERVED_BY_OTHER_PROCESS,
@@ -59,7 +59,7 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetSelfCalLastDateAndTime`; of a simulated device as NI's driver answers."""
+    """Answer `DAQmxGetSelfCalLastDateAndTime`, for a simulated device as NI's driver does."""
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
         raise Status(statuses.INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
@@ -78,7 +78,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 
 
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxSetDigitalPowerUpStates`."""
+    """Answer `DAQmxSetDigitalPowerUpStates`."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
@@ -89,15 +89,15 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetDigitalPowerUpStates`."""
+    """Answer `DAQmxGetDigitalPowerUpStates`."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     return {"state": [device.power_up_states.get(line, POWER_UP_TRISTATE) for line in lines]}
 
 
 def unplug(bench: Bench, serial_number: int) -> None:
-    """Take a board out: its tasks are lost, its lines go low."""
-    _taken_away(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
+    """Remove a board: its tasks are lost, its lines go low."""
+    _take_from_tasks(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 

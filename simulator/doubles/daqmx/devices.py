@@ -1,4 +1,4 @@
-"""The boards in the chassis: which are there, under which name, and how they are calibrated."""
+"""Boards in the chassis: presence, names and calibration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINES = re.compile(
 
 
 class Device:
-    """One board: what it is does not change, where it is and how it is calibrated does."""
+    """Board: its type is fixed, its place, name and calibration change."""
 
     def __init__(self, parameters: BoardParameters) -> None:
         self.parameters = parameters
@@ -32,33 +32,33 @@ class Device:
 
     @property
     def serial_number(self) -> int:
-        """What it is found by."""
+        """Return the serial number that identifies the board."""
         return self.parameters.serial_number
 
     @property
     def kind(self) -> BoardType:
-        """The product's figures."""
+        """Return the product's figures."""
         return self.parameters.kind
 
     @property
     def temperature_c(self) -> float:
-        """What its own sensor tells; a simulated one has none, and tells 0."""
+        """Return the temperature of its own sensor; a simulated board has none and returns 0."""
         return 0.0 if self.parameters.simulated else self.parameters.temperature_c
 
     def calibration(self, range_v: float) -> Calibration:
-        """Scaling polynomial in one range, as it is now."""
+        """Return the present scaling polynomial in one range."""
         adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
         return board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
-        """Adjust to the board's temperature: the polynomial changes a little."""
+        """Adjust to the board's temperature: the polynomial changes slightly."""
         self.calibrated = now
         self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v += self.parameters.self_calibration_shift_v
 
 
 class Devices:
-    """All boards; names are those of NI MAX, case does not matter."""
+    """Boards by name as in NI MAX; case does not matter."""
 
     def __init__(self, boards: Iterable[BoardParameters]) -> None:
         self._devices = {board.serial_number: Device(board) for board in boards}
@@ -68,15 +68,15 @@ class Devices:
         return iter(self._devices.values())
 
     def present(self) -> tuple[Device, ...]:
-        """Boards that are plugged in."""
+        """Return the boards that are plugged in."""
         return tuple(device for device in self if device.plugged)
 
     def by_serial(self, serial_number: int) -> Device:
-        """Board by serial number; KeyError if there is none."""
+        """Return a board by serial number; KeyError if there is none."""
         return self._devices[serial_number]
 
     def find(self, name: str) -> Device:
-        """Board by name.
+        """Return a board by name.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Devices:
         raise Status(code, f"Device Specified: {name}")
 
     def unplug(self, serial_number: int) -> None:
-        """Take a board out; its name stays in NI MAX."""
+        """Remove a board; its name stays in NI MAX."""
         self.by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
@@ -103,7 +103,7 @@ class Devices:
         device.plugged = True
 
     def channel(self, text: str, part: str) -> tuple[Device, int]:
-        """Board and number of a physical channel like ``Dev1/ai0``.
+        """Return board and number of a physical channel like ``Dev1/ai0``.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Devices:
         return device, int(number)
 
     def lines(self, text: str) -> list[tuple[Device, str]]:
-        """Boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.
+        """Return boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.
 
         Raises
         ------
@@ -150,6 +150,6 @@ class Devices:
 
 
 def _numbers(first: int, last: int) -> range:
-    """Numbers of a range as names write it, up or down, its end included."""
+    """Return the numbers of a range of names, up or down, its end included."""
     step = 1 if last >= first else -1
     return range(first, last + step, step)

@@ -15,7 +15,7 @@ EDGES_KEPT = 200_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineEvent:
-    """A line changed its level.
+    """Change of a line's level.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class LineEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pulse:
-    """One pulse of a counter output: high from `start_ns` to `end_ns`."""
+    """Pulse of a counter output: high from `start_ns` to `end_ns`."""
 
     line: str
     start_ns: int
@@ -43,7 +43,7 @@ class Pulse:
 
 
 class LineRecord:
-    """Levels now, pulses under way, and everything that happened."""
+    """Present levels, active pulses, and all level changes."""
 
     def __init__(self) -> None:
         self._levels: dict[str, int] = {}
@@ -52,19 +52,19 @@ class LineRecord:
 
     @property
     def events(self) -> tuple[LineEvent, ...]:
-        """What happened, in order of recording."""
+        """Return all level changes, in order of recording."""
         return tuple(self._events)
 
     def clear_events(self) -> None:
-        """Forget what happened; levels and pulses stay."""
+        """Discard the level changes; levels and pulses stay."""
         self._events.clear()
 
     def level(self, line: str) -> int:
-        """Level now; a line nobody drove is low."""
+        """Return the present level; a line never driven is low."""
         return self._levels.get(line, 0)
 
     def drive(self, line: str, level: int, ns: int, cause: str) -> None:
-        """Set a level and record it if it is a change."""
+        """Set a level and record a change."""
         if self.level(line) != level:
             self._levels[line] = level
             self._events.append(LineEvent(line=line, level=level, ns=ns, cause=cause))
@@ -74,7 +74,7 @@ class LineRecord:
         self._edges[pulse.line] = [(pulse.start_ns, 1), (pulse.end_ns, 0)]
 
     def settle(self, now_ns: int) -> None:
-        """Record every edge whose time has come, the lines together in order of time."""
+        """Record every edge that is due, for all lines in order of time."""
         while self._edges:
             line = min(self._edges, key=lambda name: self._edges[name][0])
             ns, level = self._edges[line][0]

@@ -1,4 +1,4 @@
-"""Who holds which part of which board."""
+"""Reservations of parts of the boards."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simulator.doubles.vendor_api.statuses import RESERVED_BY_OTHER_PROCESS, RES
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holder:
-    """Who reserved a resource: a task of a client, or someone else altogether (`occupy`)."""
+    """Holder of a reservation: a task of a client, or an outside program (`occupy`)."""
 
     client: str
     task: str
@@ -24,7 +24,7 @@ class Reservations:
 
     @property
     def held(self) -> dict[str, Holder]:
-        """Everything that is reserved now."""
+        """Return all reservations."""
         return dict(self._held)
 
     def take(self, resources: Iterable[str], holder: Holder) -> None:
@@ -46,25 +46,25 @@ class Reservations:
         self._held.update(dict.fromkeys(wanted, holder))
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve for someone who is no client of this double, whoever held it before."""
+        """Reserve for an outside program, replacing the holder."""
         self._held[resource] = Holder(client="another process", task=owner)
 
     def release(self, holder: Holder) -> None:
-        """Give back everything of one holder."""
+        """Release everything of one holder."""
         self._held = {resource: other for resource, other in self._held.items() if other != holder}
 
     def release_board(self, serial_number: int) -> None:
-        """Give back everything on one board, as its reset does."""
+        """Release everything on one board, as its reset does."""
         held = self._held.items()
         self._held = {name: holder for name, holder in held if board_of(name) != serial_number}
 
     def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
-        """Who holds anything on one board."""
+        """Return all holders of parts of one board."""
         return tuple(holder for name, holder in self._held.items() if board_of(name) == serial_number)
 
 
 def resource(serial_number: int, part: str) -> str:
-    """Name of one part of one board."""
+    """Return the name of one part of one board."""
     return f"{serial_number}/{part}"
 
 

@@ -29,19 +29,19 @@ INTERNAL_OUTPUT = "internaloutput"
 
 
 def short_name(terminal: str) -> str:
-    """Compare terminals by this: without leading slash, in lower case."""
+    """Return the form of a terminal for comparison: no leading slash, lower case."""
     return terminal.strip().lstrip("/").casefold()
 
 
-def waits_for(task: Task) -> str:
-    """Terminal whose edge starts the task, empty if it starts at once."""
+def start_trigger_of(task: Task) -> str:
+    """Return the terminal whose edge starts the task, empty if it starts at once."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
 
 
-def fire(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
-    """Begin what waits for this edge at a terminal, along routes and the backplane's lines too."""
+def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
+    """Start the tasks that wait for this edge at a terminal, also along routes and the backplane's lines."""
     reached = {short_name(terminal)}
     while True:
         onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
@@ -50,7 +50,11 @@ def fire(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
         reached |= onward
     for task in tuple(bench.tasks.values()):
         waiting = task.state is TaskState.RUNNING and task.run.begin_ns is None
-        if waiting and _same(waits_for(task), reached) and task.settings["DigEdge.StartTrig.Edge"] == edge:
+        if (
+            waiting
+            and _same(start_trigger_of(task), reached)
+            and task.settings["DigEdge.StartTrig.Edge"] == edge
+        ):
             bench.kinds[task.kind].triggered(bench, task, at_ns)
 
 
@@ -72,7 +76,7 @@ def _known(bench: Bench, terminal: str) -> bool:
 
 
 def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgDigEdgeStartTrig`."""
+    """Answer `DAQmxCfgDigEdgeStartTrig`."""
     tasks.changed(task)
     source = arguments["trigger_source"]
     device = source.strip().lstrip("/").partition("/")[0]
@@ -97,31 +101,31 @@ def require_start_route(bench: Bench, task: Task) -> None:
     Status
         The board cannot be started by that counter (-89136), or is in another chassis (-89125).
     """
-    name, _, end = waits_for(task).partition("/")
+    name, _, end = start_trigger_of(task).partition("/")
     if not end.endswith(INTERNAL_OUTPUT):
         return
     source, device = bench.devices.find(name), task.device
     if source is device:
         if int(end.removeprefix("ctr").removesuffix(INTERNAL_OUTPUT)) not in device.kind.starting_counters:
-            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {waits_for(task)}", task=task.name)
+            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name)
     elif "slot" not in name or _chassis(name) != _chassis(device.name):
         between = f"Source Device: {source.name}\nDestination Device: {device.name}"
         raise Status(NO_TRIGGER_LINE, between, task=task.name)
 
 
 def _chassis(name: str) -> str:
-    """Chassis in a board's usual name: `PXI1Slot3` is in `pxi1`."""
+    """Return the chassis in a board's usual name: `PXI1Slot3` is in `pxi1`."""
     return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxDisableStartTrig`."""
+    """Answer `DAQmxDisableStartTrig`."""
     tasks.changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
 
 
 def connect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxConnectTerms`."""
+    """Answer `DAQmxConnectTerms`."""
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _known(bench, source):
         raise Status(INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
@@ -134,14 +138,14 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def disconnect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxDisconnectTerms`; harmless where there is no route."""
+    """Answer `DAQmxDisconnectTerms`; harmless where there is no route."""
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
 
 
 def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """`DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
+    """Answer `DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
     terminal = short_name(arguments["output_terminal"])
     if not _known(bench, terminal):
         raise Status(INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
@@ -155,7 +159,7 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def export(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
+    """Answer `DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
     tasks.changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]

@@ -1,4 +1,4 @@
-"""From a coil that lets go to the counts of a record: the twin behind the boards.
+"""Strikes: from a released coil to the counts of a record, with the twin behind the boards.
 
 A strike belongs to a shot: the one that was announced for its position, or else the next one counted.
 """
@@ -38,7 +38,7 @@ WAVE = AdcParameters()
 
 @dataclass(slots=True, eq=False)
 class Strike:
-    """One striker on its way to the chain.
+    """Strike in progress.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Strike:
 
 
 class Strikes:
-    """Which shot the next strike is, and what it looks like at a sensor."""
+    """Strikes: the key of the next one, and its voltage at a sensor."""
 
     def __init__(self, description: Description) -> None:
         self._description = description
@@ -71,11 +71,11 @@ class Strikes:
 
     @property
     def planned(self) -> tuple[Strike, ...]:
-        """The newest strikes, cancelled ones apart."""
+        """Return the newest strikes, without cancelled ones."""
         return tuple(strike for strike in self._planned if not strike.cancelled)
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Say which shot the next strike, or pulse-echo record, at the key's position is.
+        """Set the shot of the next strike, or pulse-echo record, at the key's position.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Strikes:
         self._hour_h = hour_h
 
     def next_echo(self, position: str) -> tuple[ShotKey, float]:
-        """Which pulse-echo record and hour the next one at a position is."""
+        """Return key and hour of the next pulse-echo record at a position."""
         announced = self._announced.pop(position, None)
         if announced is not None:
             return announced
@@ -98,7 +98,7 @@ class Strikes:
         return ShotKey(position=position, set_index=index, shot_index=0), self._hour_h
 
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
-        """Let the striker fall at a time to come; None if the pulse is too short to lift it."""
+        """Plan the striker's fall; None if the pulse is too short to lift it."""
         lift_s = self._description.transducers[position].lift_s
         if released_ns - lifted_ns < round(lift_s * NS_PER_S):
             # Nothing falls, but the coil was switched, which its sensor hears.
@@ -129,7 +129,7 @@ class Strikes:
         return strike
 
     def cut(self, strike: Strike, ns: int) -> None:
-        """Switch the coil off at `ns`, before its time: the striker falls now, or never rose."""
+        """Switch the coil off early at `ns`: the striker falls now, or never rose."""
         if strike.released_ns <= ns:
             return
         lift_s = self._description.transducers[strike.key.position].lift_s
@@ -155,7 +155,7 @@ class Strikes:
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
     def record(self, strike: Strike, adc: AdcParameters, calibration: Calibration) -> Acquired | None:
-        """Compute what a board records of a strike; None if it does not reach the trigger level.
+        """Compute a board's record of a strike; None if it does not reach the trigger level.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class Strikes:
     def free_volts(
         self, key: ShotKey, first_ns: int, adc: AdcParameters, calibration: Calibration
     ) -> FloatArray:
-        """Voltage at a sensor's input whatever triggers, shape (record_samples,).
+        """Return the untriggered voltage at a sensor's input, shape (record_samples,).
 
         Noise if it is on, the waves of strikes as far as a usual record shows them, and crosstalk.
         """
@@ -203,22 +203,22 @@ class Strikes:
             wave = self._through_board(self.specimen, strike, wave_adc, calibration)
             if wave is not None:
                 begins += wave.truth["trigger_time_s"] * rate_hz
-                _paste(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
+                _insert_wave(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
         crosstalk = self.crosstalk(key.position)
         if not crosstalk.silent:
             volts += crosstalk.volts(self.coil_pulses(key.position), first_ns, rate_hz, volts.size)
         return volts
 
     def crosstalk(self, position: str) -> Crosstalk:
-        """Say what the coil at a position couples into its sensor; nothing where there is none."""
+        """Return what the coil at a position couples into its sensor; silent where there is none."""
         return self._crosstalk.get(position, Crosstalk())
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Let the coil at a position couple in something else from now on."""
+        """Set the crosstalk of the coil at a position from now on."""
         self._crosstalk[position] = crosstalk
 
     def coil_pulses(self, position: str) -> list[tuple[int, int]]:
-        """When the coil at a position went, or will go, on and off."""
+        """Return when the coil at a position is switched on and off."""
         return [
             (strike.lifted_ns, strike.released_ns)
             for strike in self._planned
@@ -226,7 +226,7 @@ class Strikes:
         ]
 
     def warm_up(self) -> None:
-        """Compute one shot a position, so that no later one waits for a compiler or a plate."""
+        """Compute one shot per position, so that no later one waits for a compiler or a plate."""
         for position in self.specimen.transducers:
             key = ShotKey(position=position, set_index=0, shot_index=0)
             try:
@@ -236,8 +236,8 @@ class Strikes:
                 log.warning("the twin cannot compute position %s: %s", position, error)
 
 
-def _paste(volts: FloatArray, wave: FloatArray, at: int) -> None:
-    """Put a wave, with its own noise, into a longer record as far as it lies in it."""
+def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
+    """Insert a wave, with its own noise, into a longer record as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:
         volts[first:last] = wave[first - at : last - at]

@@ -1,4 +1,4 @@
-"""Attributes of a task as a whole: its name, timing, triggers, and whether its watchdog expired."""
+"""Attributes of a task: its name, timing, triggers, and the expiry of its watchdog."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ Values = Mapping[str, Callable[[Task], object]]
 """By attribute name: how its value is found."""
 
 
-def _kept(name: str, default: float | str) -> Callable[[Task], object]:
-    """Find what was set, or the driver's default."""
+def _setting(name: str, default: float | str) -> Callable[[Task], object]:
+    """Return the stored setting, or the driver's default."""
     return lambda task: task.settings.get(name, default)
 
 
@@ -38,28 +38,28 @@ _READING: Values = {"Read.NumChans": lambda task: 1}
 
 _TIMING: Values = {
     "SampClk.Rate": analog_input.rate_hz,
-    "RefClk.Rate": _kept("RefClk.Rate", 10e6),
-    "RefClk.Src": _kept("RefClk.Src", ""),
+    "RefClk.Rate": _setting("RefClk.Rate", 10e6),
+    "RefClk.Src": _setting("RefClk.Src", ""),
 }
 
 _TRIGGER: Values = {
-    "RefTrig.Type": _kept("RefTrig.Type", analog_input.NO_TRIGGER),
-    "AnlgEdge.RefTrig.Slope": _kept("AnlgEdge.RefTrig.Slope", analog_input.RISING_SLOPE),
-    "AnlgEdge.RefTrig.Src": _kept("AnlgEdge.RefTrig.Src", ""),
-    "AnlgEdge.RefTrig.Lvl": _kept("AnlgEdge.RefTrig.Lvl", 0.0),
-    "RefTrig.PretrigSamples": _kept("RefTrig.PretrigSamples", 2),
+    "RefTrig.Type": _setting("RefTrig.Type", analog_input.NO_TRIGGER),
+    "AnlgEdge.RefTrig.Slope": _setting("AnlgEdge.RefTrig.Slope", analog_input.RISING_SLOPE),
+    "AnlgEdge.RefTrig.Src": _setting("AnlgEdge.RefTrig.Src", ""),
+    "AnlgEdge.RefTrig.Lvl": _setting("AnlgEdge.RefTrig.Lvl", 0.0),
+    "RefTrig.PretrigSamples": _setting("RefTrig.PretrigSamples", 2),
     "RefTrig.Term": _terminal("ReferenceTrigger"),
-    "StartTrig.Type": _kept("StartTrig.Type", analog_input.NO_TRIGGER),
+    "StartTrig.Type": _setting("StartTrig.Type", analog_input.NO_TRIGGER),
     "StartTrig.Term": _terminal("StartTrigger"),
-    "DigEdge.StartTrig.Src": _kept("DigEdge.StartTrig.Src", ""),
+    "DigEdge.StartTrig.Src": _setting("DigEdge.StartTrig.Src", ""),
     "StartTrig.Delay": analog_input.start_delay_s,
-    "StartTrig.DelayUnits": _kept("StartTrig.DelayUnits", SAMPLE_PERIODS),
-    "DigEdge.StartTrig.Edge": _kept("DigEdge.StartTrig.Edge", analog_input.RISING_SLOPE),
+    "StartTrig.DelayUnits": _setting("StartTrig.DelayUnits", SAMPLE_PERIODS),
+    "DigEdge.StartTrig.Edge": _setting("DigEdge.StartTrig.Edge", analog_input.RISING_SLOPE),
 }
 
 
 def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxGet<family>Attribute`."""
+    """Answer `DAQmxGet<family>Attribute`."""
     if family != "Task":
         _require_channels(task)
     if family == "Timing" and task.kind == "co":
@@ -68,7 +68,7 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
 
 
 def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxSet<family>Attribute`."""
+    """Answer `DAQmxSet<family>Attribute`."""
     _require_channels(task)
     name = settable(task, arguments, family)
     tasks.changed(task)
@@ -87,7 +87,7 @@ def _has_expired(task: Task) -> int:
 
 
 def get_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """`DAQmxGetWatchdogAttribute`."""
+    """Answer `DAQmxGetWatchdogAttribute`."""
     if task.kind != "watchdog":
         raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
     bench.settle()

@@ -1,4 +1,4 @@
-"""Entry points that every kind of task shares."""
+"""Entry points for every kind of task."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, TEXTS, Statu
 
 
 def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Nothing: which language calls is no matter here."""
+    """Do nothing: the caller's language does not matter."""
 
 
 def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:

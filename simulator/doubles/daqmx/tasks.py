@@ -24,7 +24,7 @@ from simulator.doubles.vendor_api.statuses import RUNNING, Status
 
 
 class TaskState(IntEnum):
-    """In the order in which a task goes through them."""
+    """State of a task, in the order in which a task goes through them."""
 
     UNVERIFIED = 0
     VERIFIED = 1
@@ -34,7 +34,7 @@ class TaskState(IntEnum):
 
 
 class Action(IntEnum):
-    """`DAQmxTaskControl`."""
+    """Action of `DAQmxTaskControl`."""
 
     START = 0
     STOP = 1
@@ -46,10 +46,10 @@ class Action(IntEnum):
 
 
 class Clock(Protocol):
-    """Wall time as the boards see it; a test brings its own."""
+    """Wall clock of the boards; tests replace it."""
 
     def now_ns(self) -> int:
-        """Monotonic time."""
+        """Return monotonic time."""
         ...
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
@@ -58,10 +58,10 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """The machine's monotonic clock."""
+    """Clock with the machine's monotonic time."""
 
     def now_ns(self) -> int:
-        """Monotonic time."""
+        """Return monotonic time."""
         return time.monotonic_ns()
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
@@ -71,7 +71,7 @@ class WallClock:
 
 @dataclass(slots=True, eq=False)
 class Task:
-    """One task of one client.
+    """Task of one client.
 
     Attributes
     ----------
@@ -101,26 +101,26 @@ class Task:
     resume: TaskState = TaskState.VERIFIED
     run: Any = None
     lost: int = 0
-    begun: int = 0
+    n_starts: int = 0
     verified: bool = False
 
     @property
     def holder(self) -> Holder:
-        """As it appears among the reservations."""
+        """Return the holder for its reservations."""
         return Holder(client=self.client, task=self.name)
 
     @property
     def device(self) -> Device:
-        """Board of its channel."""
+        """Return the board of its channel."""
         device: Device = self.channel.device
         return device
 
     def is_on(self, serial_number: int) -> bool:
-        """Tell whether it uses a board."""
+        """Return whether it uses a board."""
         return self.channel is not None and self.device.serial_number == serial_number
 
     def require_empty(self) -> None:
-        """Raise a status unless the task can take its channel, of which the double's have one."""
+        """Raise a status if the task already has its channel; the double's tasks have one."""
         self.require_not_running()
         if self.channel is not None:
             raise Status(
@@ -130,7 +130,7 @@ class Task:
             )
 
     def take_channel(self, kind: str, channel: Any) -> None:
-        """Become a task of a kind."""
+        """Set the kind and channel of the task."""
         self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
     def require_not_running(self) -> None:
@@ -140,14 +140,14 @@ class Task:
 
 
 class TaskKind(Protocol):
-    """What a state means for one kind of task."""
+    """Behaviour of one kind of task in each state."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check the settings against the board; Status if they contradict it."""
+        """Check the settings against the board; raise Status if they contradict it."""
         ...
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Parts of boards that the task needs."""
+        """Return the parts of boards that the task needs."""
         ...
 
     def commit(self, bench: Bench, task: Task) -> None:
@@ -155,25 +155,25 @@ class TaskKind(Protocol):
         ...
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Let the hardware run; waits for nothing."""
+        """Start the hardware without waiting."""
         ...
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Begin what a started task had to wait for its start trigger with."""
+        """Continue a started task at its start trigger."""
         ...
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """End what is still running."""
+        """Stop the running hardware."""
         ...
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """When the running task is done as far as is known now, None if nothing says so."""
+        """Return when the running task will be done, None if that is unknown."""
         ...
 
 
 @dataclass(slots=True, eq=False)
 class Bench:
-    """Everything that evolves: one lock guards it (`changed`)."""
+    """Test bench with everything that changes; one lock guards it (`changed`)."""
 
     description: Description
     clock: Clock
@@ -189,7 +189,7 @@ class Bench:
     next_handle: int = 0x10001
 
     def settle(self) -> int:
-        """Let everything happen whose time has come; returns the time now."""
+        """Process everything that is due; return the time now."""
         now_ns = self.clock.now_ns()
         for task in tuple(self.tasks.values()):
             if task.kind == "watchdog" and task.state is TaskState.RUNNING:
@@ -209,7 +209,7 @@ TaskHandler = Callable[[Bench, Task, Arguments], Answer]
 
 
 def create(bench: Bench, client: str, name: str) -> Task:
-    """Make a task; a name is unique within its client."""
+    """Create a task; a name is unique within its client."""
     taken = {task.name for task in bench.tasks.values() if task.client == client}
     if name in taken:
         raise Status(statuses.DUPLICATE_TASK, task=name)
@@ -221,7 +221,7 @@ def create(bench: Bench, client: str, name: str) -> Task:
 
 
 def find(bench: Bench, client: str, handle: int) -> Task:
-    """Task of a client by handle.
+    """Return a task of a client by handle.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def find(bench: Bench, client: str, handle: int) -> Task:
 
 
 def raise_lost(task: Task) -> None:
-    """Answer for a task whose board is gone: the first time with the cause."""
+    """Raise the status of a task without a board: the first time with the cause."""
     code = task.lost
     task.lost = -88709
     raise Status(code, task=task.name)
@@ -254,7 +254,7 @@ def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
 
 
 def advance(bench: Bench, task: Task, target: TaskState) -> None:
-    """Take a task up to a state below running."""
+    """Move a task up to a state below running."""
     if task.channel is None:
         raise Status(statuses.NO_CHANNELS, task=task.name)
     kind = bench.kinds[task.kind]
@@ -271,7 +271,7 @@ def advance(bench: Bench, task: Task, target: TaskState) -> None:
 
 
 def changed(task: Task) -> None:
-    """Note that a setting changed: it is verified and programmed again before the next start."""
+    """Mark a setting as changed: it is verified and programmed again before the next start."""
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
         task.state = TaskState.RESERVED
@@ -279,7 +279,7 @@ def changed(task: Task) -> None:
 
 
 def start(bench: Bench, task: Task) -> None:
-    """Run a task."""
+    """Start a task."""
     task.require_not_running()
     task.resume = max(task.state, TaskState.VERIFIED)
     before = task.state
@@ -296,7 +296,7 @@ def start(bench: Bench, task: Task) -> None:
 
 
 def is_done(bench: Bench, task: Task) -> bool:
-    """Tell whether a task is not running or has done all it was asked for."""
+    """Return whether a task is not running or has completed."""
     if task.state is not TaskState.RUNNING:
         return True
     now_ns = bench.settle()
@@ -333,7 +333,7 @@ def _halt(bench: Bench, task: Task) -> None:
 
 
 def control(bench: Bench, task: Task, action: int) -> None:
-    """Answer `DAQmxTaskControl`."""
+    """Carry out `DAQmxTaskControl`."""
     match action:
         case Action.START:
             start(bench, task)
@@ -367,7 +367,7 @@ def _unreserve(bench: Bench, task: Task) -> None:
 
 
 def clear(bench: Bench, task: Task) -> None:
-    """End a task and forget it."""
+    """End and remove a task."""
     if task.state is TaskState.RUNNING:
         _halt(bench, task)
     _unreserve(bench, task)
@@ -384,7 +384,7 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         `expired` at the deadline; -88710 and the like if the board goes away meanwhile.
     """
     deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * NS_PER_S)
-    begun = task.begun
+    n_starts = task.n_starts
     while not is_done(bench, task):
         now_ns = bench.clock.now_ns()
         if deadline_ns is not None and now_ns >= deadline_ns:
@@ -394,5 +394,5 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
         bench.clock.wait(bench.changed, min(moments) if moments else None)
         if task.lost:
             raise_lost(task)
-        if task.handle not in bench.tasks or task.begun != begun:
+        if task.handle not in bench.tasks or task.n_starts != n_starts:
             raise Status(statuses.DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)

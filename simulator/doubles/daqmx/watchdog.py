@@ -1,4 +1,4 @@
-"""The watchdog timer of X Series boards: lines go to a safe level when nobody resets it in time.
+"""Watchdog timer of X Series boards: lines go to a safe level when it is not reset in time.
 
 The lines it was told of, and no others: a counter's pulse at another pin runs to its end.
 """
@@ -31,7 +31,7 @@ NEVER = -1.0
 
 @dataclass(slots=True, eq=False)
 class WatchedBoard:
-    """What a watchdog task holds instead of channels: its board."""
+    """Board of a watchdog task, which has no channels."""
 
     name: str
     device: Device
@@ -39,14 +39,14 @@ class WatchedBoard:
 
 @dataclass(slots=True, eq=False)
 class Countdown:
-    """A running watchdog."""
+    """Running watchdog."""
 
     begin_ns: int | None
     timeout_s: float
     expired_ns: int | None = None
 
     def settle(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Let the timer expire at its own time, not when somebody looks."""
+        """Let the timer expire at its own time, independent of calls."""
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
         deadline_ns = self.begin_ns + round(self.timeout_s * NS_PER_S)
@@ -68,25 +68,25 @@ class Countdown:
 
 
 class Watchdog:
-    """`tasks.TaskKind` of watchdog timers."""
+    """Watchdog timer as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Nothing but the timeout, checked when it was set."""
+        """Do nothing: the timeout was checked when it was set."""
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """One timer a board."""
+        """Return one timer per board."""
         return (resource(task.device.serial_number, "watchdog"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Nothing is driven before it expires."""
+        """Do nothing: no line is driven before the timer expires."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
         """Arm the timer."""
-        task.begun += 1
+        task.n_starts += 1
         task.run = Countdown(begin_ns=now_ns, timeout_s=task.settings["Watchdog.Timeout"])
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Begin nothing: a watchdog waits for no trigger."""
+        """Do nothing: a watchdog waits for no trigger."""
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
         """Disarm; an expired one stays expired until it is cleared."""
@@ -99,7 +99,7 @@ class Watchdog:
 
 
 def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxCreateWatchdogTimerTaskEx`."""
+    """Answer `DAQmxCreateWatchdogTimerTaskEx`."""
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
         raise Status(statuses.WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
@@ -107,7 +107,9 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
         session, name = arguments["session_name"], "Watchdog.Timeout"
         code = statuses.WATCHDOG_TIMEOUT_OUT_OF_RANGE
-        raise statuses.unfit(session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S)
+        raise statuses.rejected_property(
+            session, name, code=code, requested=timeout_s, maximum=LONGEST_TIMEOUT_S
+        )
     task = tasks.create(bench, client, arguments["session_name"])
     task.take_channel("watchdog", WatchedBoard(name=device.name, device=device))
     task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
@@ -120,7 +122,7 @@ def _require_watchdog(task: Task) -> None:
 
 
 def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line that its terminal is."""
+    """Answer `DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line of its terminal."""
     _require_watchdog(task)
     tasks.changed(task)
     lines = bench.devices.lines(arguments["channel_names"])
@@ -133,12 +135,12 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
             raise Status(statuses.DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
         if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
             name, requested = "Watchdog.DO.ExpirState", f"{state} on {device.name}"
-            raise statuses.unfit(task.name, name, requested=requested)
+            raise statuses.rejected_property(task.name, name, requested=requested)
     task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
 
 
 def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """`DAQmxControlWatchdogTask`."""
+    """Answer `DAQmxControlWatchdogTask`."""
     _require_watchdog(task)
     now_ns = bench.settle()
     run: Countdown | None = task.run

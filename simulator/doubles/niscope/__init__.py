@@ -1,1 +1,1 @@
-"""Behind NI-SCOPE's door: sessions, pulsers, records."""
+"""NI-SCOPE double: sessions, pulsers, records."""

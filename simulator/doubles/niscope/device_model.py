@@ -41,7 +41,7 @@ SELF_CALIBRATION = 1
 
 
 class NiscopeBrain:
-    """All NI-SCOPE boards of a rig and the sessions open on them.
+    """Device model of all NI-SCOPE boards of a rig and the sessions open on them.
 
     Parameters
     ----------
@@ -72,12 +72,12 @@ class NiscopeBrain:
     # What a test or the control channel asks for
 
     def has(self, serial_number: int) -> bool:
-        """Tell whether a board of this serial number is described, plugged in or not."""
+        """Return whether a board of this serial number is described, plugged in or not."""
         known = {board.serial_number for board in self._boards.values()}
         return serial_number in known | set(self._unplugged)
 
     def unplug(self, serial_number: int) -> None:
-        """Take a board out: its sessions stay open and find nothing any more."""
+        """Remove a board: its sessions stay open but find no board."""
         with self._changed:
             for name, board in tuple(self._boards.items()):
                 if board.serial_number == serial_number:
@@ -92,28 +92,28 @@ class NiscopeBrain:
             self._boards[board.name] = board
 
     def names(self) -> frozenset[str]:
-        """Resource names of the boards that are plugged in."""
+        """Return the resource names of the boards that are plugged in."""
         with self._changed:
             return frozenset(self._boards)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Let somebody else use a board."""
+        """Reserve a board for an outside program."""
         with self._changed:
             self._foreign_owners[resource] = owner
 
     def vacate(self, owner: str) -> None:
-        """Somebody else gives back everything."""
+        """Release everything of an outside program."""
         with self._changed:
             owners = self._foreign_owners.items()
             self._foreign_owners = {name: other for name, other in owners if other != owner}
 
     def open_sessions(self) -> list[tuple[str, str]]:
-        """Client and resource of each open session."""
+        """Return client and resource of each open session."""
         with self._changed:
             return [(session.client, session.board.name) for session in self._sessions.values()]
 
     def client_gone(self, client: str) -> list[str]:
-        """Close what a client left open, as the driver does when a process ends; return the resources."""
+        """Close a dead client's sessions, as the driver does when a process ends; return the resources."""
         with self._changed:
             left = [session for session in self._sessions.values() if session.client == client]
             for session in left:
@@ -174,7 +174,7 @@ class NiscopeBrain:
             self._changed.notify_all()
 
     def _lock(self, session: Session, _: Arguments) -> None:
-        """Nothing: a lock is of the caller's own threads."""
+        """Do nothing: a lock concerns the caller's own threads."""
 
     def _commit(self, session: Session, _: Arguments) -> None:
         require_idle(session)
@@ -209,13 +209,13 @@ class NiscopeBrain:
         self._require_present(session)
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
-        asked = session.fetch[FETCH_RECORDS]
+        requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
-        records = left if asked < 0 else min(asked, left)
+        records = left if requested < 0 else min(requested, left)
         return {"num_wfms": records * len(channels_of(session, arguments))}
 
     def _fetch(self, session: Session, arguments: Arguments) -> Answer:
-        """Wait for the records and hand them over, one channel after the other within a record."""
+        """Wait for the records and return them, one channel after the other within a record."""
         running = session.acquisition
         if running is None:
             raise niscope_statuses.ScopeStatus(niscope_statuses.INITIATE_NOT_CALLED)

@@ -1,4 +1,4 @@
-"""Pulser-receivers behind the NI-SCOPE double: when they fire, and what the boards make of it."""
+"""Pulser-receivers behind the NI-SCOPE double: their firings, and the boards' records of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NextEcho = Callable[[str], tuple[ShotKey, float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FetchedWaveform:
-    """One record of one channel as a fetch hands it over.
+    """Record of one channel as a fetch returns it.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class FetchedWaveform:
 
 
 class Pulsers:
-    """All probes of a rig and the boards their receivers are wired to."""
+    """Probes of a rig and the boards their receivers are wired to."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class Pulsers:
         self._next_echo = next_echo
 
     def begin(self, session: Session, now_s: float) -> Acquisition:
-        """Begin an acquisition now: its records follow the next firings, if they trigger the board."""
+        """Start an acquisition now: its records follow the next firings, if they trigger the board."""
         shape = RecordShape(
             sample_rate_hz=session.rate_hz,
             samples=session.samples,
@@ -83,7 +83,7 @@ class Pulsers:
         )
 
     def _triggering_position(self, session: Session) -> str:
-        """Position of the probe whose sync is the configured trigger, empty if none is."""
+        """Return the position of the probe whose sync is the configured trigger, empty if none is."""
         enabled = [name for name, channel in session.channels.items() if channel.enabled]
         for position, probe in self._probes.items():
             wired = self._wired_to[position] == session.board.serial_number and probe.channel in enabled
@@ -96,7 +96,7 @@ class Pulsers:
     def waveform(
         self, session: Session, running: Acquisition, record: int, channel: tuple[str, Channel], wanted: int
     ) -> FetchedWaveform:
-        """Hand over up to `wanted` samples of one record of a channel."""
+        """Return up to `wanted` samples of one record of a channel."""
         name, settings = channel
         calibration = session.board.calibration(0.5 * settings.range_pp_v, settings.offset_v)
         codes = self._codes(running, name, calibration)[record, :wanted]
@@ -121,7 +121,7 @@ class Pulsers:
         )
 
     def _codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
-        """Codes of all records of a channel: the probe's own, or a grounded input's."""
+        """Return codes of all records of a channel: the probe's own, or a grounded input's."""
         probe = self._probes[running.position]
         if probe.channel != channel:
             quiet = counts_of(np.zeros((running.shape.records, running.shape.samples)), calibration)

@@ -1,4 +1,4 @@
-"""What an NI-SCOPE board records of a probe: the twin's echo through the board's ADC."""
+"""Records of a probe by an NI-SCOPE board: the twin's echo through the board's ADC."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simulator.specimen import Specimen
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordShape:
-    """How the board has been told to record one probe."""
+    """Recording settings of a board for one probe."""
 
     sample_rate_hz: float
     samples: int
@@ -34,7 +34,7 @@ def single_records(
     key: ShotKey,
     hour_h: float,
 ) -> NDArray[np.int32]:
-    """Codes of each record of one acquisition, unpadded, shape (records, samples).
+    """Return codes of each record of one acquisition, unpadded, shape (records, samples).
 
     The echo is the twin's own (`Specimen.echo`) at the board's rate and length. Each record carries the
     noise of a single one, drawn for this key: their mean scatters by the square root of their number, as

@@ -1,4 +1,4 @@
-"""One session of the NI-SCOPE double: what it is set to, and the calls that only read or set that."""
+"""Session of the NI-SCOPE double: its settings, and the calls that only read or set them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Channel:
 
 @dataclass(slots=True, eq=False)
 class Acquisition:
-    """What runs between initiate and abort."""
+    """Acquisition between initiate and abort."""
 
     done_s: float
     """When the last record is complete; infinite if nothing triggers."""
@@ -52,7 +52,7 @@ class Acquisition:
 
 @dataclass(slots=True, eq=False)
 class Session:
-    """One open session and the state of its board."""
+    """Open session and the state of its board."""
 
     handle: int
     client: str
@@ -126,7 +126,7 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
-    """Channels that a list names; an empty one names all."""
+    """Return the channels of a list; an empty one names all."""
     wanted = [name.strip() for name in arguments["channel_list"].split(",") if name.strip()]
     for name in wanted:
         if name not in session.channels:

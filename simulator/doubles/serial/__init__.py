@@ -1,1 +1,1 @@
-"""Supplies and climate probes at the end of a line. What enters: instruments that answer text."""
+"""Doubles of instruments with a text protocol: supplies and climate probes on a line."""

@@ -1,4 +1,4 @@
-"""The same supply with other command sets, each written from its maker's manual and not from the driver.
+"""Supply doubles with other command sets, each written from its maker's manual, not from the driver.
 
 Aim-TTi: PL-P and MX series instruction manuals; answers carry headers and units, trips are events of the
 limit register, which reading clears, and errors a register of one number. Korad: KA3000 remote control
@@ -29,11 +29,11 @@ class AimTtiSupply(Supply):
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip a protection: an event of the limit register besides."""
+        """Trip a protection, and set the event in the limit register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
-    def _tell(self, question: str) -> str | None:
+    def _answer(self, question: str) -> str | None:
         if question == "*IDN?":
             return self.identity
         if question == "EER?":
@@ -44,11 +44,11 @@ class AimTtiSupply(Supply):
             events, self._events = self._events, 0
             return str(events | int(self._on))  # bit 0: holds its voltage
         if found := re.fullmatch(r"([VI])1(O?)\?", question):
-            what = QUANTITY[found[1]]
+            quantity = QUANTITY[found[1]]
             if found[2]:
-                measured = self._measured()[what == "CURR"] + self._scatter(UNIT[what])
-                return f"{measured:.3f}{UNIT[what]}" if what == "VOLT" else f"{measured:.4f}A"
-            return f"{found[1]}1 {self._set[what]:.{3 if what == 'VOLT' else 4}f}"
+                measured = self._measured()[quantity == "CURR"] + self._scatter(UNIT[quantity])
+                return f"{measured:.3f}{UNIT[quantity]}" if quantity == "VOLT" else f"{measured:.4f}A"
+            return f"{found[1]}1 {self._set[quantity]:.{3 if quantity == 'VOLT' else 4}f}"
         if found := re.fullmatch(r"O([VC])P1\?", question):
             return f"{found[1]}P1 {self._protection['VOLT' if found[1] == 'V' else 'CURR']:.2f}"
         return None
@@ -68,7 +68,7 @@ class AimTtiSupply(Supply):
 
 
 class KoradSupply(Supply):
-    """A KA3005P: it tells no errors and no trips, and ignores what it cannot do."""
+    """KA3005P: it reports no errors and no trips, and ignores invalid commands."""
 
     IDENTITY = "KORADKA3005PV2.0"
     FRAMING = Framing(
@@ -77,7 +77,7 @@ class KoradSupply(Supply):
     )
 
     def answer(self, command: str) -> str | None:
-        """Obey one command; only questions are answered."""
+        """Execute one command; only queries have a response."""
         if command == "*IDN?":
             return self.identity
         if command == "STATUS?":
@@ -86,13 +86,13 @@ class KoradSupply(Supply):
             if command == "OUT0" or not any(self._tripped.values()):
                 self._switch(command == "OUT1", "command")
             return None
-        what, form = QUANTITY[command[0]], "05.2f" if command[0] == "V" else ".3f"
+        quantity, form = QUANTITY[command[0]], "05.2f" if command[0] == "V" else ".3f"
         if not command.endswith("?"):
-            self._set_level(what, command.partition(":")[2])
+            self._set_level(quantity, command.partition(":")[2])
             return None
         if command[1:4] == "SET":  # firmware 2.0 appends a sixth character to the current
-            return f"{self._set[what]:{form}}" + ("K" if what == "CURR" else "")
-        return f"{self._measured()[what == 'CURR'] + self._scatter(UNIT[what]):{form}}"
+            return f"{self._set[quantity]:{form}}" + ("K" if quantity == "CURR" else "")
+        return f"{self._measured()[quantity == 'CURR'] + self._scatter(UNIT[quantity]):{form}}"
 
 
 class RigolSupply(Supply):
@@ -106,18 +106,18 @@ class RigolSupply(Supply):
         self._guarded = {"VOLT": False, "CURR": False}
 
     def answer(self, command: str) -> str | None:
-        """Obey one command; questions are answered, others are not."""
+        """Execute one command; only queries have a response."""
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
             error = self._obey(header, argument)
             self._errors += [] if error is None else [error]
             return None
-        said = self._say(header, argument)
-        if said is None:
+        response = self._answer_question(header, argument)
+        if response is None:
             self._errors.append(UNDEFINED)
-        return said
+        return response
 
-    def _say(self, question: str, channel: str) -> str | None:
+    def _answer_question(self, question: str, channel: str) -> str | None:
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":
@@ -131,11 +131,11 @@ class RigolSupply(Supply):
         if question == ":OUTP?":
             return "ON" if self._on else "OFF"
         if found := re.fullmatch(r":OUTP:(OVP|OCP)(:VAL|:QUES|)\?", question):
-            what = self._WORDS[found[1]]
+            quantity = self._WORDS[found[1]]
             return {
-                ":VAL": f"{self._protection[what]:.3f}",
-                ":QUES": "YES" if self._tripped[what] else "NO",
-                "": "ON" if self._guarded[what] else "OFF",
+                ":VAL": f"{self._protection[quantity]:.3f}",
+                ":QUES": "YES" if self._tripped[quantity] else "NO",
+                "": "ON" if self._guarded[quantity] else "OFF",
             }[found[2]]
         return None
 

@@ -26,7 +26,7 @@ CLIMATE_IDENTITY = "SOLIMON,CLIMATE PROBE DOUBLE,CD0001,1.0"
 
 
 class ClimateProbe:
-    """A thermometer and hygrometer: a day's swing around room climate."""
+    """Thermometer and hygrometer: a daily swing around room climate."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class ClimateProbe:
         self._seconds, self._start_s = seconds, seconds()
 
     def answer(self, command: str) -> str | None:
-        """Answer name, temperature and humidity; anything else is not known and not answered."""
+        """Answer queries of name, temperature and humidity; others get no response."""
         phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
         match command.upper():
             case "*IDN?":
@@ -91,13 +91,13 @@ class SerialInstruments:
         self.close()
 
     def brown_out(self) -> None:
-        """Take mains and USB away from the supply, then give both back."""
+        """Cut mains and USB of the supply, then restore both."""
         self.supply_link.unplug()
         self.supply_link.do(self.supply.brown_out)
         self.supply_link.plug()
 
     def output_changes(self) -> list[OutputChange]:
-        """Everything that ever happened to the supply's output, oldest first."""
+        """Return all changes of the supply's output, oldest first."""
         return self.supply_link.do(lambda: list(self.supply.output))
 
     def close(self) -> None:
@@ -107,7 +107,7 @@ class SerialInstruments:
 
 
 def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[str, Any]:
-    """Do what one JSON line on standard input asks for.
+    """Carry out the command of one JSON line on standard input.
 
     ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``;
     ``{"do": "inject", "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``;
@@ -122,10 +122,10 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
         There is no such order.
     """
     supply = instruments.supply
-    which = order.get("instrument", "supply")
-    if which not in {"supply", "climate"}:
-        raise SimulatorError(f"no instrument {which!r}; there are supply and climate")
-    link = instruments.supply_link if which == "supply" else instruments.climate_link
+    name = order.get("instrument", "supply")
+    if name not in {"supply", "climate"}:
+        raise SimulatorError(f"no instrument {name!r}; there are supply and climate")
+    link = instruments.supply_link if name == "supply" else instruments.climate_link
     match order.get("do"):
         case "unplug":
             link.unplug()
@@ -139,7 +139,7 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
             except TypeError as error:
                 raise SimulatorError(f"{order} names an unknown fault: {error}") from error
         case "identity":
-            model: Supply | ClimateProbe = supply if which == "supply" else instruments.climate
+            model: Supply | ClimateProbe = supply if name == "supply" else instruments.climate
             link.do(lambda: setattr(model, "identity", str(order["name"])))
         case "brown_out":
             instruments.brown_out()
@@ -188,11 +188,11 @@ def main() -> int:
             ready = json.dumps({"event": "ready", **ports}) if options.json else f"ports: {ports}"
             print(ready, flush=True)
             for line in sys.stdin:
-                print(json.dumps(_answered(instruments, line)), flush=True)
+                print(json.dumps(_answer_line(instruments, line)), flush=True)
     return 0
 
 
-def _answered(instruments: SerialInstruments, line: str) -> dict[str, Any]:
+def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

@@ -1,4 +1,4 @@
-"""The instrument's end of a line: a pseudo terminal behind a path that survives replugging, or a socket.
+"""Instrument's end of a line: a pseudo terminal behind a path that survives replugging, or a socket.
 
 A thread owns the terminal, hands each line that comes in to the instrument and writes its answer. The
 line can be unplugged and plugged in again (a new terminal behind the same path, as an adapter behind
@@ -33,7 +33,7 @@ ORDER_TIMEOUT_S = 10.0
 
 
 def pseudo_terminals_missing() -> str:
-    """Reason why there can be no pseudo terminal here; empty where there can."""
+    """Return the reason why pseudo terminals are unavailable; empty where they are available."""
     if not hasattr(os, "openpty"):
         return "this system has no pseudo terminals (Windows): use a real port, or run on Linux or macOS"
     return ""
@@ -41,7 +41,7 @@ def pseudo_terminals_missing() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """Where a command ends, and what ends an answer.
+    """Framing: the end of a command, and the end of a response.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Framing:
     reply_end: bytes = b"\n"
 
     def split(self, received: bytes) -> tuple[list[bytes], bytes]:
-        """Whole commands, and what has come of the next."""
+        """Return complete commands, and the received start of the next."""
         if self.commands is None:
             *lines, rest = received.split(b"\n")
             return lines, rest
@@ -65,7 +65,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineFaults:
-    """What goes wrong with answers; the instrument hears and obeys all the same.
+    """Faults of responses; the instrument still receives and executes every command.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class LineFaults:
 
 
 class SerialLink:
-    """One instrument on one pseudo terminal; a context manager.
+    """Instrument on one pseudo terminal; a context manager.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class SerialLink:
 
     @property
     def port(self) -> str:
-        """What a line's parameters call it."""
+        """Return the port for a line's parameters."""
         return str(self.path)
 
     # Orders, carried out by the owning thread ------------------------------------------------------
@@ -148,7 +148,7 @@ class SerialLink:
         self._order(self._plug)
 
     def unplug(self) -> None:
-        """Take the terminal and its path away; harmless when unplugged."""
+        """Remove the terminal and its path; harmless when unplugged."""
         self._order(self._unplug)
 
     def inject(self, **faults: Any) -> None:
@@ -157,19 +157,19 @@ class SerialLink:
         self._order(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
-        """Let every answer through again; answers held back are lost."""
+        """Clear the faults; delayed responses are lost."""
         self._order(lambda: self._set_faults(LineFaults()))
 
     def chatter(self, text: bytes) -> None:
-        """Send what nobody asked for."""
+        """Send unsolicited text."""
         self._order(lambda: self._transmit(text))
 
     def do(self, work: Callable[[], T]) -> T:
-        """Let the owning thread do something to the instrument between two commands."""
+        """Run a function on the owning thread between two commands."""
         return self._order(work)
 
     def heard(self) -> list[tuple[int, str]]:
-        """Every command so far, with its monotonic time in ns."""
+        """Return every command received, with its monotonic time in ns."""
         return self._order(lambda: list(self._heard))
 
     def close(self) -> None:
@@ -219,13 +219,13 @@ class SerialLink:
     def _hear(self) -> None:
         assert self._terminal is not None, "only heard while plugged in"
         try:
-            said = os.read(self._terminal[0], 4096)
+            data = os.read(self._terminal[0], 4096)
         except ConnectionError:
-            said = b""
-        if not said:  # only a socket has another end that can go
+            data = b""
+        if not data:  # only a socket has another end that can go
             self._hang_up()
             return
-        commands, self._received = self._framing.split(self._received + said)
+        commands, self._received = self._framing.split(self._received + data)
         for line in commands:
             command = line.decode("ascii", errors="replace").strip()
             self._heard.append((time.monotonic_ns(), command))
@@ -303,7 +303,7 @@ class SerialLink:
 
 
 class SocketLink(SerialLink):
-    """One instrument on a socket of the loopback interface, which stays where it is over an unplugging.
+    """Instrument on a socket of the loopback interface, whose address survives unplugging.
 
     It serves one caller, the last one. Being unplugged is told to the caller, as when an instrument is
     switched off; a cable that is pulled without a word is `LineFaults.silent`.
@@ -313,12 +313,12 @@ class SocketLink(SerialLink):
 
     @property
     def port(self) -> str:
-        """What a line's parameters call it."""
+        """Return the port for a line's parameters."""
         return f"tcp:127.0.0.1:{self._number}"
 
     @property
     def visa_port(self) -> str:
-        """The same as a VISA resource."""
+        """Return the same as a VISA resource."""
         return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
 
     def _plug(self) -> None:

@@ -1,4 +1,4 @@
-"""A power supply with an electrochemical cell as its load.
+"""Double of a power supply with an electrochemical cell as its load.
 
 The cell draws (all of it an assumption, the paper prints no current)::
 
@@ -33,14 +33,14 @@ CONFLICT = '-221,"Settings conflict"'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """Steel plate and copper sheet in salt water."""
+    """Cell of a steel plate and a copper sheet in salt water."""
 
     counter_voltage_v: float = 1.5
     resistance_ohm: float = 40.0
     rise_per_h: float = 1e-3
 
     def operating_point(self, set_v: float, limit_a: float, hours_h: float) -> tuple[float, float]:
-        """Voltage and current of the supply at this load: it holds its voltage, or its limit."""
+        """Return voltage and current of the supply at this load, in constant voltage or current limit."""
         resistance_ohm = self.resistance_ohm * (1.0 + self.rise_per_h * hours_h)
         current_a = max(0.0, (set_v - self.counter_voltage_v) / resistance_ohm)
         if current_a <= limit_a:
@@ -50,7 +50,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputChange:
-    """The output was switched."""
+    """Change of the output state."""
 
     mono_ns: int
     on: bool
@@ -58,7 +58,7 @@ class OutputChange:
 
 
 class Supply:
-    """What a bench supply does with SCPI commands; `dialects` has those that speak otherwise.
+    """Bench supply with SCPI commands; `dialects` has those with others.
 
     Parameters
     ----------
@@ -100,13 +100,13 @@ class Supply:
 
     @property
     def on(self) -> bool:
-        """Whether the output is on."""
+        """Return whether the output is on."""
         return self._on
 
     # What happens to it --------------------------------------------------------------------------
 
     def brown_out(self) -> None:
-        """Lose the mains for a moment: it comes back with its output off and nothing set."""
+        """Interrupt the mains for a moment: the output is off afterwards and all settings are lost."""
         self._switch(False, "brown-out")
         self._power_on_state()
 
@@ -116,7 +116,7 @@ class Supply:
         self._switch(False, f"protection {protection}")
 
     def press_output_key(self, on: bool) -> None:
-        """Switch at the front panel, which needs no program."""
+        """Switch the output at the front panel, without a program."""
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
@@ -127,16 +127,16 @@ class Supply:
     # Commands ------------------------------------------------------------------------------------
 
     def answer(self, command: str) -> str | None:
-        """Obey one command; questions are answered, others are not."""
+        """Execute one command; only queries have a response."""
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
-            return self._tell(header)
+            return self._answer(header)
         error = self._obey(header, argument.strip())
         if error is not None:
             self._errors.append(error)
         return None
 
-    def _tell(self, question: str) -> str | None:
+    def _answer(self, question: str) -> str | None:
         match question:
             case "*IDN?":
                 return self.identity
@@ -192,12 +192,12 @@ class Supply:
             self._set[header] = value
         return None
 
-    def _protect(self, what: str, value: float) -> str | None:
-        """Set the level of a protection: never below what is set."""
-        if value < self._set[what]:
+    def _protect(self, quantity: str, value: float) -> str | None:
+        """Set the level of a protection, at or above the setpoint."""
+        if value < self._set[quantity]:
             return CONFLICT
         if self.obeys_set_commands:
-            self._protection[what] = value
+            self._protection[quantity] = value
         return None
 
     def _measured(self) -> tuple[float, float]:

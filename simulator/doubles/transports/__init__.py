@@ -1,1 +1,1 @@
-"""How a client comes in: the vendors' C libraries, the wire, gRPC, a test's own control."""
+"""Transports to the doubles: the vendors' C libraries, the wire, gRPC, a test's own control."""

@@ -12,7 +12,7 @@ from simulator.doubles.vendor_api.table import of_library
 
 
 def library_source(library: str) -> str:
-    """Source of one shared library: what all entries share, then one function an entry."""
+    """Return the source of one shared library: the common part, then one function per entry."""
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
     functions = [_function(entry) for entry in of_library(library)]
     return "\n".join([shared, _attribute_kinds(ATTRIBUTES.values()), *functions])
@@ -67,7 +67,10 @@ def _declaration(parameter: Parameter) -> str:
 
 
 def _local_body(entry: EntryPoint) -> list[str]:
-    """Only the last error is kept in the library, a thread its own, as NI's does."""
+    """Return the body of an entry without a call.
+
+    The library keeps only the last error, one per thread, as NI's.
+    """
     (text,) = (parameter for parameter in entry.parameters if parameter.role is Role.OUT_TEXT)
     return [f"return fill_text(0, error_text, strlen(error_text), {text.name}, (uint32_t){text.size});"]
 

@@ -1,4 +1,4 @@
-"""Run a double beside the caller, and tell it what to do: the side of tests and the demonstration.
+"""Control of a double in a process of its own: the side of tests and the demonstration.
 
 The control channel carries one JSON object a line; `control_server` answers it.
 """
@@ -46,7 +46,7 @@ class DoublesControl:
         self.close()
 
     def close(self) -> None:
-        """Close the connection; the double goes on."""
+        """Close the connection; the double continues."""
         self._file.close()
         self._socket.close()
 
@@ -66,23 +66,23 @@ class DoublesControl:
         return answer["ok"]
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Say which shot the next strike at the key's position is, and its hour."""
+        """Set the shot of the next strike at the key's position, and its hour."""
         self._ask("announce", key=asdict(key), hour_h=hour_h)
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Let the coil at a position couple this into its sensor from now on."""
+        """Set what the coil at a position couples into its sensor from now on."""
         self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(self, function: str, kind: str, **how: float | None) -> None:
-        """Order a fault (`faults.Faults.inject`); kind is error, hang, lie or death."""
+        """Request a fault (`faults.Faults.inject`); kind is error, hang, lie or death."""
         self._ask("inject", function=function, kind=kind, **how)
 
     def clear_faults(self) -> None:
-        """Forget every fault not yet carried out."""
+        """Discard every pending fault."""
         self._ask("clear_faults")
 
     def release_hangs(self) -> None:
-        """Let hanging calls go on."""
+        """Release hanging calls."""
         self._ask("release_hangs")
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
@@ -94,20 +94,20 @@ class DoublesControl:
         return bool(self._ask("wait_until_no_tasks", timeout_s=timeout_s))
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker is in flight and no wave rings on; False at the deadline."""
+        """Wait until no striker is falling and no wave continues; False at the deadline."""
         return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
-        """Fetch calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
+        """Return calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
         found: dict[str, Any] = self._ask("record")
         return found
 
     def clear_record(self) -> None:
-        """Forget calls, line events and leaks."""
+        """Discard calls, line events and leaks."""
         self._ask("clear_record")
 
     def unplug(self, serial_number: int) -> None:
-        """Take a board out."""
+        """Remove a board."""
         self._ask("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
@@ -115,17 +115,17 @@ class DoublesControl:
         self._ask("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Let another process hold ``<board>/ai``, ``<board>/ctr0`` ... (board by name or serial number)."""
+        """Reserve ``<board>/ai``, ``<board>/ctr0`` ... (board name or serial number) for another process."""
         self._ask("occupy", resource=resource, owner=owner)
 
     def vacate(self, owner: str) -> None:
-        """Let that other process give everything back."""
+        """Release everything of that other process."""
         self._ask("vacate", owner=owner)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunningDoubles:
-    """A double that is up.
+    """Running double.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class RunningDoubles:
         cache: Path = DEFAULT_CACHE_FOLDER,
         environment: Mapping[str, str] | None = None,
     ) -> dict[str, str]:
-        """Environment of a child process that shall meet this double; builds the libraries if needed."""
+        """Return the environment of a child process with this double; builds the libraries if needed."""
         folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
         return client_environment(self.wire, *folders, environment=environment)
 
@@ -195,7 +195,7 @@ def running_doubles(
 
 
 def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
-    """Ready line of a process that was just started."""
+    """Return the ready line of a process that was just started."""
     assert process.stdout is not None
     # A pipe has no deadline of its own on every platform; ending the process ends the wait.
     watch = threading.Timer(timeout_s, process.kill)

@@ -1,4 +1,4 @@
-"""The control channel's server: one JSON object a line, over TCP.
+"""Server of the control channel: one JSON object per line, over TCP.
 
 A request is ``{"command": name, ...arguments}``; an answer ``{"ok": result}`` or ``{"error": text}``.
 """
@@ -17,7 +17,7 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 class ControlServer(LoopbackServer):
-    """Listens for `DoublesControl` on the loopback interface."""
+    """Server for `DoublesControl` on the loopback interface."""
 
     def __init__(self, brain: Brain) -> None:
         super().__init__(brain, _Connection)

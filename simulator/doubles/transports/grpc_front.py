@@ -1,4 +1,4 @@
-"""The DAQmx double as NI's gRPC device server: service ``nidaqmx_grpc.NiDAQmx``, no compiler needed.
+"""NI's gRPC device server with the DAQmx double: service ``nidaqmx_grpc.NiDAQmx``, no compiler needed.
 
 Messages and methods come from the stubs that `nidaqmx` ships; which of them are answered, and what their
 fields mean, from the same table of entry points as the C library. A method without an entry is
@@ -41,7 +41,7 @@ BrainCall = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
 
 
 def why_unavailable() -> str:
-    """Why no gRPC front can be served here, empty if one can."""
+    """Return the reason why gRPC cannot be served here, empty if it can."""
     missing = [name for name in ("grpc", "nidaqmx", "google.protobuf") if not _is_installed(name)]
     if not missing:
         return ""
@@ -56,7 +56,7 @@ def _is_installed(name: str) -> bool:
 
 
 class SessionError(Exception):
-    """The name of a session contradicts what the client wants of it."""
+    """Error: the name of a session contradicts the client's request."""
 
     def __init__(self, code: str, text: str) -> None:
         self.code = code
@@ -90,18 +90,18 @@ class Sessions:
             return name, True
 
     def handle(self, name: str) -> int:
-        """Task of a session; 0, which no driver call accepts, if there is none."""
+        """Return the task of a session; 0, which no driver call accepts, if there is none."""
         with self._gate:
             return self._handles.get(name, 0)
 
     def forget(self, name: str) -> None:
-        """Drop a name."""
+        """Remove a name."""
         with self._gate:
             self._handles.pop(name, None)
 
 
 def entry_of(method: str) -> EntryPoint | None:
-    """Entry point that answers a method: itself, or the variadic one of a typed attribute method."""
+    """Return the entry point of a method: itself, or the variadic one of a typed attribute method."""
     attribute = _ATTRIBUTE_METHOD.match(method)
     name = f"DAQmx{attribute[1]}{attribute[2]}Attribute" if attribute else f"DAQmx{method}"
     entry = ENTRY_POINTS.get(name)
@@ -109,7 +109,7 @@ def entry_of(method: str) -> EntryPoint | None:
 
 
 def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
-    """Arguments of a call from the fields of its request."""
+    """Return the arguments of a call from the fields of its request."""
     arguments: dict[str, Any] = {}
     for parameter in entry.parameters:
         if parameter.goes_out or parameter.role is Role.UNUSED:
@@ -140,7 +140,7 @@ def _is_room(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
 
 
 def _field(request: Any, name: str) -> Any:
-    """Value of a field; an enumeration may come by its raw number instead."""
+    """Return the value of a field; an enumeration may be given by its raw number instead."""
     fields = request.DESCRIPTOR.fields_by_name
     raw = fields.get(f"{name}_raw")
     if raw is None:
@@ -150,7 +150,7 @@ def _field(request: Any, name: str) -> Any:
 
 
 def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], status: int) -> None:
-    """Put out parameters into the fields of a response."""
+    """Write the output parameters into the fields of a response."""
     response.status = status
     fields = response.DESCRIPTOR.fields_by_name
     names = [parameter.name for parameter in entry.parameters if parameter.goes_out]
@@ -180,7 +180,7 @@ def _assign(response: Any, field: Any, value: Any) -> None:
 
 
 class GrpcFront:
-    """A running server.
+    """Running server.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class GrpcFront:
         self._server.start()
 
     def close(self) -> None:
-        """Stop at once; calls under way are cancelled."""
+        """Stop at once; calls in progress are cancelled."""
         self._server.stop(grace=None)
         self._workers.shutdown(wait=False, cancel_futures=True)
 

@@ -1,4 +1,4 @@
-"""Build the double of NI's C library once and say how a process finds it.
+"""Build of the double of NI's C library, and the environment in which a process finds it.
 
 `nidaqmx` asks `ctypes.util.find_library` for ``nidaqmx``. On Linux that looks into LD_LIBRARY_PATH with
 the linker (``ld`` and ``objdump`` of binutils must be on the client's PATH) and loads what it finds by
@@ -40,7 +40,7 @@ COMPILE_TIMEOUT_S = 120.0
 
 
 def why_unavailable() -> str:
-    """Why no library can be built on this machine, empty if one can."""
+    """Return the reason why no library can be built on this machine, empty if one can."""
     if not sys.platform.startswith("linux"):
         return f"the double of NI's C library runs on Linux only, this is {sys.platform}"
     if _compiler() is None:
@@ -94,7 +94,7 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
 def client_environment(
     wire: str, *folders: Path, environment: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Environment for a process whose unmodified `nidaqmx` shall meet the double.
+    """Return the environment in which a process with unmodified `nidaqmx` meets the double.
 
     Parameters
     ----------

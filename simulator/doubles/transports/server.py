@@ -1,4 +1,4 @@
-"""The wire's server side: one thread a connection, one client a process."""
+"""Server side of the wire: one thread per connection, one client per process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 
 class LoopbackServer(socketserver.ThreadingTCPServer):
-    """Listens on the loopback interface for callers of a brain, one thread a connection."""
+    """Server for callers of a device model on the loopback interface, one thread per connection."""
 
     daemon_threads = True
 
@@ -26,13 +26,13 @@ class LoopbackServer(socketserver.ThreadingTCPServer):
 
     @property
     def address(self) -> str:
-        """``host:port``."""
+        """Return ``host:port``."""
         host, port = self.server_address[:2]
         return f"{host!s}:{port}"
 
 
 class WireServer(LoopbackServer):
-    """Listens for C libraries on the loopback interface."""
+    """Server for the C libraries on the loopback interface."""
 
     def __init__(self, brain: Brain) -> None:
         super().__init__(brain, _Connection)
@@ -48,7 +48,7 @@ class WireServer(LoopbackServer):
             return number, self._clients[number]
 
     def leave(self, number: int) -> None:
-        """Take leave of a process."""
+        """Remove a process."""
         with self._lock:
             client = self._clients.pop(number, None)
         if client is not None:
@@ -66,13 +66,13 @@ class _Connection(socketserver.BaseRequestHandler):
             hello = wire.receive_frame(connection)
             if hello is None or len(hello) != wire.HELLO.size:
                 return
-            process, asked = wire.HELLO.unpack(hello)
-            number, client = self.server.join(asked, process)
+            process, requested_number = wire.HELLO.unpack(hello)
+            number, client = self.server.join(requested_number, process)
             connection.sendall(struct.pack("<Q", number))
             try:
                 self._serve(connection, client)
             finally:
-                if asked != number:
+                if requested_number != number:
                     # The process's first connection lives as long as the process.
                     self.server.leave(number)
         except (ConnectionError, wire.WireError) as error:

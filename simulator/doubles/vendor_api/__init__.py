@@ -1,1 +1,1 @@
-"""The vendors' entry points, attributes and statuses as tables, and how they go over the wire."""
+"""Tables of the vendors' entry points, attributes and statuses, and their encoding on the wire."""

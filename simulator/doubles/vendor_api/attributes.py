@@ -15,7 +15,7 @@ from simulator.doubles.vendor_api.entry_points import FLOAT64, INT32, UINT32, Sc
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """One attribute.
+    """Attribute of a vendor API.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """One C type: how C spells it and how `struct` packs it (little-endian, no padding)."""
+    """C type: its C spelling and its `struct` format (little-endian, no padding)."""
 
     c_type: str
     packed: str
@@ -33,7 +33,7 @@ HANDLE = Scalar("void *", "Q")
 
 
 class Role(Enum):
-    """What a parameter is for."""
+    """Purpose of a parameter."""
 
     VALUE = "value"
     """A number by value."""
@@ -52,7 +52,7 @@ class Role(Enum):
 
 
 class Tail(Enum):
-    """What follows the fixed parameters of a variadic entry."""
+    """Arguments after the fixed parameters of a variadic entry."""
 
     NONE = "none"
     GET_ATTRIBUTE = "get_attribute"
@@ -67,7 +67,7 @@ class Tail(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of an entry point."""
+    """Parameter of one entry point."""
 
     name: str
     role: Role
@@ -76,13 +76,13 @@ class Parameter:
 
     @property
     def goes_out(self) -> bool:
-        """True if the brain answers with it."""
+        """Return whether the parameter is part of the answer."""
         return self.role in (Role.OUT, Role.OUT_ARRAY, Role.OUT_TEXT)
 
 
 @dataclass(frozen=True, slots=True)
 class EntryPoint:
-    """One C function.
+    """C function.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class EntryPoint:
 
 
 def value(name: str, scalar: Scalar = INT32) -> Parameter:
-    """Declare a number by value."""
+    """Declare a number passed by value."""
     return Parameter(name, Role.VALUE, scalar)
 
 
@@ -110,22 +110,22 @@ def text(name: str) -> Parameter:
 
 
 def array(name: str, scalar: Scalar, size: str) -> Parameter:
-    """Declare numbers to read."""
+    """Declare an input array of numbers."""
     return Parameter(name, Role.ARRAY, scalar, size)
 
 
 def out(name: str, scalar: Scalar) -> Parameter:
-    """Declare a number to write."""
+    """Declare an output number."""
     return Parameter(name, Role.OUT, scalar)
 
 
 def out_array(name: str, scalar: Scalar, size: str) -> Parameter:
-    """Declare numbers to write."""
+    """Declare an output array of numbers."""
     return Parameter(name, Role.OUT_ARRAY, scalar, size)
 
 
 def out_text(name: str, size: str) -> Parameter:
-    """Declare text to write."""
+    """Declare an output text."""
     return Parameter(name, Role.OUT_TEXT, BYTE, size)
 
 

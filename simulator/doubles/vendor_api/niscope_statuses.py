@@ -16,7 +16,7 @@ _messages: dict[int, str] = {}
 
 
 def _status(code: int, message: str) -> int:
-    """Note what a status says and return its code."""
+    """Register the text of a status and return its code."""
     _messages[code] = message
     return code
 

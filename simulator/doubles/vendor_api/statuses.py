@@ -1,4 +1,4 @@
-"""Statuses of NI-DAQmx that the brain answers with, and their texts.
+"""Statuses of NI-DAQmx that the double answers with, and their texts.
 
 Negative is an error, positive a warning. The numbers are NI's (`nidaqmx.error_codes`); the texts are
 ours, plain ASCII, and close with the task's name and the number as NI's do.
@@ -14,7 +14,7 @@ _texts: dict[int, str] = {}
 
 
 def _status(code: int, text: str) -> int:
-    """Note what a status says and return its code."""
+    """Register the text of a status and return its code."""
     _texts[code] = text
     return code
 
@@ -85,7 +85,7 @@ TEXTS: Mapping[int, str] = MappingProxyType(_texts)
 
 
 class Status(Exception):  # noqa: N818 - a warning is a status too
-    """What a call answers when it is not plain success.
+    """Status of a call that is not plain success.
 
     Parameters
     ----------
@@ -112,7 +112,12 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
         super().__init__(self.message)
 
 
-def unfit(task: str, name: str, detail: str = "", *, code: int = INVALID_VALUE, **values: object) -> Status:
-    """Refuse a property's value: what was ``requested``, ``minimum`` and ``maximum``, as NI words them."""
-    told = [f"{word.title()} Value: {value}" for word, value in values.items()]
-    return Status(code, "\n".join([f"Property: {name}", *told, *filter(None, [detail])]), task=task)
+def rejected_property(
+    task: str, name: str, detail: str = "", *, code: int = INVALID_VALUE, **values: object
+) -> Status:
+    """Return the status for a rejected property.
+
+    ``requested``, ``minimum`` and ``maximum``, in NI's words.
+    """
+    value_lines = [f"{label.title()} Value: {value}" for label, value in values.items()]
+    return Status(code, "\n".join([f"Property: {name}", *value_lines, *filter(None, [detail])]), task=task)

@@ -1,4 +1,4 @@
-"""Every entry point of every library, by C name: what the wire and the brain look up."""
+"""Table of the entry points of every library by C name, for the wire and the device model."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ TABLE: Mapping[str, EntryPoint] = MappingProxyType(
 
 
 def of_library(library: str) -> tuple[EntryPoint, ...]:
-    """Entries that one library exports."""
+    """Return the entries that one library exports."""
     return tuple(entry for entry in TABLE.values() if entry.library == library)

@@ -1,4 +1,4 @@
-"""Calls and answers as bytes: the brain's side of `transport.c`.
+"""Encoding of calls and answers as bytes: the counterpart of `transport.c`.
 
 Little-endian. A frame is its length (u32) and its body. A call is the entry's name and its inputs in
 the table's order; an answer is status, text and the outputs, each behind a byte that says "is there".
@@ -37,18 +37,18 @@ HELLO = struct.Struct("<IQ")
 
 
 class WireError(Exception):
-    """The peer sent what is no frame of this table."""
+    """Error: the peer sent no valid frame of this table."""
 
 
 class Reader:
-    """Takes the values of a body one after the other."""
+    """Reader of the values of a body, one after the other."""
 
     def __init__(self, body: bytes) -> None:
         self._body = memoryview(body)
         self._at = 0
 
     def take(self, count: int) -> memoryview:
-        """Take so many bytes."""
+        """Read ``count`` bytes."""
         if self._at + count > len(self._body):
             raise WireError(f"the frame has {len(self._body)} bytes and ends inside a value")
         piece = self._body[self._at : self._at + count]
@@ -56,16 +56,16 @@ class Reader:
         return piece
 
     def number(self, packed: str) -> Any:
-        """Take one number."""
+        """Read one number."""
         (number,) = struct.unpack("<" + packed, self.take(struct.calcsize("<" + packed)))
         return number
 
     def text(self) -> str:
-        """Take a text."""
+        """Read a text."""
         return bytes(self.take(self.number("I"))).decode("utf-8", errors="replace")
 
     def array(self, scalar: Scalar) -> np.ndarray[Any, Any]:
-        """Take numbers."""
+        """Read an array of numbers."""
         count = self.number("I")
         data = self.take(count * struct.calcsize("<" + scalar.packed))
         return np.frombuffer(data, dtype="<" + scalar.packed).copy()
@@ -88,13 +88,16 @@ def _array(scalar: Scalar, numbers: Any) -> bytes:
 
 
 def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Parameters that a call carries; a variadic entry adds ``value``, or ``channel_names`` and ``state``."""
+    """Return the parameters of a call.
+
+    A variadic entry adds ``value``, or ``channel_names`` and ``state``.
+    """
     fixed = tuple(p for p in entry.parameters if not p.goes_out and p.role is not Role.UNUSED)
     return fixed + _tail(entry, attribute, outgoing=False)
 
 
 def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Parameters that an answer carries."""
+    """Return the parameters of an answer."""
     return tuple(p for p in entry.parameters if p.goes_out) + _tail(entry, attribute, outgoing=True)
 
 
@@ -115,7 +118,7 @@ def _tail(entry: EntryPoint, attribute: int, *, outgoing: bool) -> tuple[Paramet
 
 
 def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
-    """Entry and arguments of a call.
+    """Return entry and arguments of a call.
 
     Raises
     ------
@@ -139,7 +142,7 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
 def encode_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], status: int, text: str, values: Mapping[str, Any]
 ) -> bytes:
-    """Body of an answer; an output without a value is marked as absent."""
+    """Return the body of an answer; an output without a value is marked as absent."""
     parts = [struct.pack("<i", status), _text(text)]
     for parameter in outputs(entry, arguments.get("attribute", 0)):
         if parameter.name in values:
@@ -150,7 +153,7 @@ def encode_answer(
 
 
 def encode_value(parameter: Parameter, content: Any) -> bytes:
-    """Bytes of one parameter's value."""
+    """Return the bytes of one parameter's value."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return _text(content)
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
@@ -159,7 +162,7 @@ def encode_value(parameter: Parameter, content: Any) -> bytes:
 
 
 def decode_value(parameter: Parameter, reader: Reader) -> Any:
-    """Value of one parameter, taken from a body."""
+    """Read the value of one parameter from a body."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
@@ -184,7 +187,7 @@ def receive_frame(connection: socket.socket) -> bytes | None:
 
 
 def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
-    """Read so many bytes; None if the peer closed before."""
+    """Read ``count`` bytes; None if the peer closed before."""
     pieces: list[bytes] = []
     while count > 0:
         piece = connection.recv(min(count, 1 << 20))
@@ -196,5 +199,5 @@ def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
 
 
 def names_of(lines: str) -> Iterable[str]:
-    """Channel names of a power-up call, which travel as one text with line feeds."""
+    """Return the channel names of a power-up call, which are sent as one text with line feeds."""
     return lines.split("\n") if lines else []

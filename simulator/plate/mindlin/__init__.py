@@ -1,1 +1,1 @@
-"""The Reissner-Mindlin plate: elements, grid, load, liquid, reduction. Unaware of the solid one."""
+"""Reissner-Mindlin plate: elements, grid, load, liquid, reduction. Independent of the solid one."""

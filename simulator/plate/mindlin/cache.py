@@ -1,11 +1,11 @@
-"""Reduced plates kept on disk: one for every depth of a patch (`array_cache` tells how they are kept)."""
+"""Cache of reduced plates on disk: one for every depth of a patch (see `array_cache`)."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
 
-from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, content_key, kept_arrays
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, cached_arrays, content_key
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -19,7 +19,7 @@ __all__ = ["DEFAULT_CACHE_FOLDER", "reduced_plate", "reduction_key"]
 def reduced_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
 ) -> ReducedPlate:
-    """Reduce the plate for this outline of the patch, or read the reduction kept in `folder`.
+    """Return the reduced plate for this outline of the patch, from the cache in `folder` if it is there.
 
     Parameters
     ----------
@@ -33,11 +33,11 @@ def reduced_plate(
         with one_blas_thread():
             return asdict(reduce_plate(build_plate(plate, corrosion)))
 
-    return ReducedPlate(**kept_arrays(folder, reduction_key(plate, corrosion), compute))
+    return ReducedPlate(**cached_arrays(folder, reduction_key(plate, corrosion), compute))
 
 
 def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
-    """Hash of the specimen, of the code that reduces it and of the libraries that compute it."""
+    """Return a hash of the specimen, of the code that reduces it and of the libraries that compute it."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
     return content_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

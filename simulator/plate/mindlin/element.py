@@ -1,4 +1,4 @@
-"""Reissner-Mindlin plate element with four nodes that does not lock (MITC4), on rectangles.
+"""Reissner-Mindlin plate element with four nodes and without locking (MITC4), on rectangles.
 
 Unknowns of a node are ``w, beta_x, beta_y``: the deflection along the chain and the rotations of the
 normal in the xz and yz planes (``u = z beta_x``), so that the shear strains are ``w_,x + beta_x`` and
@@ -30,7 +30,7 @@ GAUSS_POINTS = tuple(
 def element_matrices(
     plate: PlateParameters, width_m: FloatArray, height_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Bending, shear, translational and rotary matrices of rectangles of pristine thickness.
+    """Return bending, shear, translational and rotary matrices of rectangles of pristine thickness.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def element_matrices(
 def thinned_element_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and mass of rectangles whose thickness varies from one Gauss point to the next.
+    """Return stiffness and mass of rectangles whose thickness varies between Gauss points.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def thinned_element_matrices(
 def _gauss_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Give what each Gauss point adds to the four matrices, each shape (len(a), 12, 12)."""
+    """Return the contribution of each Gauss point to the four matrices, each shape (len(a), 12, 12)."""
     h, nu, modulus_pa = plate.thickness_m, plate.poisson_ratio, plate.warm_youngs_modulus_pa
     c = plane_modulus_pa(modulus_pa, nu) * np.array(
         [[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]]
@@ -106,7 +106,7 @@ def _gauss_matrices(
 def _strain_rows(
     xi: float, eta: float, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rows that turn the 12 nodal values into curvatures (3), shear strains (2) and values (3)."""
+    """Return rows that turn the 12 nodal values into curvatures (3), shear strains (2) and values (3)."""
     node_xi = np.array([-1.0, 1.0, 1.0, -1.0])
     node_eta = np.array([-1.0, -1.0, 1.0, 1.0])
     shape = 0.25 * (1.0 + xi * node_xi) * (1.0 + eta * node_eta)

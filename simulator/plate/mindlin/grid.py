@@ -16,7 +16,7 @@ SAME_LINE = 1e-9
 
 
 def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: float) -> FloatArray:
-    """Grid lines from 0 to `length_m`: the first element `first_m` long, a line at `edge_m`.
+    """Return grid lines from 0 to `length_m`: the first element `first_m` long, a line at `edge_m`.
 
     Two geometric progressions meet at the edge of the patch, the second continuing the sizes of the
     first; their lengths are chosen so that the two growth factors differ least.
@@ -47,7 +47,10 @@ def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: flo
 
 
 def _growth(first_m: float, elements: int, length_m: float) -> float:
-    """Factor r with ``first (1 + r + ... + r^(n-1)) = length``; a single element takes the whole."""
+    """Return r with ``first (1 + r + ... + r^(n-1)) = length``.
+
+    A single element takes the complete length.
+    """
     if elements == 1:
         return length_m / first_m
     largest = (length_m / first_m) ** (1.0 / (elements - 1))  # the last element alone fills the length
@@ -55,7 +58,7 @@ def _growth(first_m: float, elements: int, length_m: float) -> float:
 
 
 def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
-    """Factor r with ``last (r + r^2 + ... + r^n) = length``."""
+    """Return r with ``last (r + r^2 + ... + r^n) = length``."""
     largest = (length_m / last_m) ** (1.0 / elements)
     return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)
 
@@ -74,7 +77,7 @@ def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements
 def graded_edge(
     start_m: float, end_m: float, elements: int, first_m: float, lines_m: Sequence[float]
 ) -> FloatArray:
-    """Grid lines from `start_m` <= 0 to `end_m`, the contact at 0, with a line at each of `lines_m`.
+    """Return grid lines from `start_m` <= 0 to `end_m`, the contact at 0, a line at each of `lines_m`.
 
     On either side of the contact the first element is `first_m` long. Beyond, the size grows in
     proportion to the distance, ``first + g (|x| - first)``; g follows from the number of elements, which
@@ -103,7 +106,7 @@ def graded_edge(
     growth = _sharing_growth(near / first_m, far / first_m, spare)
     steps = np.log1p(growth * far / first_m) - np.log1p(growth * near / first_m)
     counts = np.ones(len(left), dtype=np.int64)
-    counts[graded] = _shared_out(steps * (spare / steps.sum()), spare)
+    counts[graded] = _distribute(steps * (spare / steps.sum()), spare)
     pieces = [
         _graded_piece(float(a), float(b), int(n), first_m, growth)
         for a, b, n in zip(left, right, counts, strict=True)
@@ -112,7 +115,7 @@ def graded_edge(
 
 
 def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
-    """Give the lines that must be there, rising and each once."""
+    """Return the required lines, rising and each once."""
     near = SAME_LINE * (end_m - start_m)
     fixed = sorted({start_m, 0.0, end_m})
     for line in (-first_m, first_m, *sorted(lines_m)):
@@ -128,7 +131,7 @@ def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[flo
 
 
 def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
-    """Find g for which ``sum ln((1 + g far) / (1 + g near)) / g`` is the number of elements."""
+    """Return g for which ``sum ln((1 + g far) / (1 + g near)) / g`` is the number of elements."""
 
     def excess(g: float) -> float:
         return float(np.sum(np.log1p(g * far) - np.log1p(g * near))) / g - elements
@@ -141,8 +144,8 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     return float(optimize.brentq(excess, smallest, largest, rtol=1e-12))
 
 
-def _shared_out(wanted: FloatArray, total: int) -> IntArray:
-    """Whole numbers, at least 1, that add up to `total` and lie near `wanted`."""
+def _distribute(wanted: FloatArray, total: int) -> IntArray:
+    """Return whole numbers, at least 1, that add up to `total` and are near `wanted`."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
         counts[np.argmax(wanted / counts)] += 1
@@ -153,7 +156,7 @@ def _shared_out(wanted: FloatArray, total: int) -> IntArray:
 
 
 def _graded_piece(a_m: float, b_m: float, count: int, first_m: float, growth: float) -> FloatArray:
-    """Divide [a, b] into `count` elements whose sizes grow with the distance from 0; b is left out."""
+    """Divide [a, b] into `count` elements whose sizes grow with the distance from 0; b is excluded."""
     if count == 1:
         return np.array([a_m])
     sign = -1.0 if a_m < 0.0 else 1.0

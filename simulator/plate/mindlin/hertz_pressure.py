@@ -1,4 +1,4 @@
-"""Load spread as Hertz's pressure ``p0 sqrt(1 - r^2 / a^2)`` over a circle about the origin of a grid."""
+"""Load of Hertz's pressure ``p0 sqrt(1 - r^2 / a^2)`` over a circle about the origin of a grid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simulator.plate.quadrature import hertz_points
 def hertz_nodal_weights(
     x_m: FloatArray, y_m: FloatArray, radius_m: float, *, symmetric: tuple[bool, bool]
 ) -> FloatArray:
-    """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (len(x), len(y)).
+    """Return nodal loads of a unit force of Hertz's pressure about the origin, shape (len(x), len(y)).
 
     The deflection is bilinear on an element: each of the `hertz_points` gives its share to the four
     corners around it. The loads add up to one, also where symmetry leaves only the part with x >= 0 or
@@ -31,6 +31,6 @@ def hertz_nodal_weights(
 
 
 def _cell(lines_m: FloatArray, at_m: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Find the element that holds each coordinate and how far along it lies, 0 to 1."""
+    """Return the element of each coordinate and the relative position in it, 0 to 1."""
     cell = np.clip(np.searchsorted(lines_m, at_m, side="right") - 1, 0, len(lines_m) - 2)
     return cell, (at_m - lines_m[cell]) / np.diff(lines_m)[cell]

@@ -35,7 +35,7 @@ MOST_TERMS = 4096
 
 
 def sine_terms(plate: PlateParameters) -> tuple[int, int]:
-    """Count the sines along x and y that hold what the liquid does about the contact.
+    """Return the numbers of sines along x and y that resolve the liquid about the contact.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def layer_mass(
     symmetric: tuple[bool, bool],
     terms: tuple[int, int] | None = None,
 ) -> LinearOperator:
-    """Mass of the liquid for the free unknowns of a mesh of the plate or of its part.
+    """Return the liquid's mass for the free unknowns of a mesh of the plate or its part.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def layer_mass(
 
 
 def sine_integrals(lines_m: FloatArray, start_m: float, edge_m: float, orders: FloatArray) -> FloatArray:
-    """Integrals of the hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
+    """Integrate hat functions on `lines_m` times ``sqrt(2 / a) sin(m pi (x - start) / a)``.
 
     They are exact, for any size of element against the wave.
 

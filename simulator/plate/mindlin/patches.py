@@ -1,4 +1,4 @@
-"""Where a plate is thinned: outlines and profiles of its patches, their lines in the grid, their symmetry.
+"""Patches of a plate: outlines and profiles, their lines in the grid, their symmetry.
 
 Coordinates have their origin at the contact. Patches may touch each other but not overlap. A flat patch
 takes part of an element by the fraction of its area that the outline covers (only circles cut elements:
@@ -22,7 +22,7 @@ TOUCHING = 1e-9
 
 
 def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Refuse patches that reach beyond the plate or overlap.
+    """Reject patches that extend beyond the plate or overlap.
 
     Raises
     ------
@@ -58,23 +58,23 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
 
 
 def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
-    """Tell whether two outlines have more than their edges in common."""
-    apart = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
+    """Return whether two outlines have more than their edges in common."""
+    distances = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
     reach = [a + b for a, b in zip(one.half_sizes_m, other.half_sizes_m, strict=True)]
     slack = TOUCHING * min(reach)
-    if apart[0] >= reach[0] - slack or apart[1] >= reach[1] - slack:
+    if distances[0] >= reach[0] - slack or distances[1] >= reach[1] - slack:
         return False
     if one.shape == other.shape == "round":
-        return math.hypot(*apart) < reach[0] - slack
+        return math.hypot(*distances) < reach[0] - slack
     if "round" in (one.shape, other.shape):
         disk, box = (one, other) if one.shape == "round" else (other, one)
-        gap = [max(d - half, 0.0) for d, half in zip(apart, box.half_sizes_m, strict=True)]
+        gap = [max(d - half, 0.0) for d, half in zip(distances, box.half_sizes_m, strict=True)]
         return math.hypot(*gap) < 0.5 * disk.size_m - slack
     return True
 
 
 def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tuple[list[float], list[float]]:
-    """Coordinates x and y that need a grid line, besides the contact's.
+    """Return the coordinates x and y that need a grid line, besides the contact's.
 
     They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
     has lines half-way to its middle, except within the elements at the contact.
@@ -92,7 +92,7 @@ def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tup
 
 
 def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
-    """Tell whether plate, contact and patches are their own mirror image in x, and in y."""
+    """Return whether plate, contact and patches are symmetric in x, and in y."""
     patches = set(corrosion.patches)
     in_x = plate.contact_x_m == 0.0 and {replace(p, offset_x_m=-p.offset_x_m) for p in patches} == patches
     in_y = plate.contact_y_m == 0.0 and {replace(p, offset_y_m=-p.offset_y_m) for p in patches} == patches
@@ -102,7 +102,7 @@ def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tu
 def patch_fraction(
     x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
 ) -> FloatArray:
-    """Fraction of each element's area within one outline, the first one of `CorrosionParameters`.
+    """Return the fraction of each element's area within one outline, the first of `CorrosionParameters`.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def patch_fraction(
 
 
 def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> FloatArray:
-    """Signed area of the disk within the rectangle from the origin to (x, y)."""
+    """Return the signed area of the disk within the rectangle from the origin to (x, y)."""
     x = np.minimum(np.abs(x_m), radius_m)
     y = np.minimum(np.abs(y_m), radius_m)
     flat = np.minimum(np.sqrt(radius_m**2 - y**2), x)  # up to here the rectangle's top is inside
@@ -138,7 +138,7 @@ def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> Floa
 
 
 def profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
-    """Depth of one smooth patch at points over that in its middle, 0 outside."""
+    """Return the depth of one smooth patch at points relative to its middle, 0 outside."""
     half_x, half_y = patch.half_sizes_m
     u, v = (x_m - patch.offset_x_m) / half_x, (y_m - patch.offset_y_m) / half_y
     law = _bowl if patch.profile == "bowl" else _cosine

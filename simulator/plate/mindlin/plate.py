@@ -78,7 +78,7 @@ class AffinePlate:
     added_mass: LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-        """Stiffness and mass, without that of a liquid, with the patch thinned by `depth_fraction`."""
+        """Return stiffness and mass, without that of a liquid, with the patch thinned by `depth_fraction`."""
         s = 1.0 - depth_fraction
         return _at(self.stiffness, s), _at(self.mass, s)
 
@@ -93,7 +93,7 @@ def _at(coefficients: Cubic, s: float) -> sparse.csc_matrix:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlateThinning:
-    """Where elements are thinned, by flat patches as wholes and by smooth ones point by point.
+    """Thinned elements: fully within flat patches, point by point within smooth ones.
 
     Attributes
     ----------
@@ -110,7 +110,10 @@ class PlateThinning:
     profile: FloatArray
 
     def coefficients(self, power: int) -> FloatArray:
-        """Coefficients of 1, s, s^2, s^3 in the thickness to `power`, shape (4, Gauss points, elements)."""
+        """Return coefficients of 1, s, s^2, s^3 in the thickness to `power`.
+
+        Shape (4, Gauss points, elements).
+        """
         rest = 1.0 - self.covered.sum(axis=0)
         total = rest * _binomial(self.profile, power)
         for fraction, factor in zip(self.covered, self.depth_factor, strict=True):
@@ -119,7 +122,7 @@ class PlateThinning:
 
 
 def _binomial(p: FloatArray, power: int) -> FloatArray:
-    """Coefficients of 1, s, s^2, s^3 in ``((1 - p) + s p)^power``, new axis first."""
+    """Return coefficients of 1, s, s^2, s^3 in ``((1 - p) + s p)^power``, new axis first."""
     terms = [math.comb(power, j) * (1.0 - p) ** (power - j) * p**j for j in range(power + 1)]
     return np.stack([*terms, *[np.zeros_like(p)] * (3 - power)])
 
@@ -165,7 +168,7 @@ def build_plate(
 def _edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
-    """Grid lines along one edge, or along the half with positive coordinates."""
+    """Return grid lines along one edge, or along the half with positive coordinates."""
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
         return graded_edge(-0.5 * edge_m - contact_m, 0.5 * edge_m - contact_m, elements, first_m, lines_m)
@@ -204,7 +207,7 @@ def assemble(
     *,
     symmetric: tuple[bool, bool],
 ) -> AffinePlate:
-    """Element matrices, their sum and the boundary conditions, for any tensor grid with a line at 0.
+    """Return element matrices, their sum and boundary conditions, for any tensor grid with a line at 0.
 
     Parameters
     ----------
@@ -225,8 +228,8 @@ def assemble(
     scale = 2.0 ** sum(symmetric)
 
     def matrix(elements: _Elements) -> sparse.csc_matrix:
-        which, matrices = elements
-        index = number[dof[which]]
+        order, matrices = elements
+        index = number[dof[order]]
         rows = np.broadcast_to(index[:, :, None], matrices.shape)
         columns = np.broadcast_to(index[:, None, :], matrices.shape)
         held = (rows >= 0) & (columns >= 0) & (matrices != 0.0)
@@ -259,7 +262,7 @@ def _element_coefficients(
     pristine: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     thinning: PlateThinning,
 ) -> tuple[list[_Elements], list[_Elements]]:
-    """Coefficients of 1, s, s^2, s^3 of stiffness and mass, each with the elements that it is not zero on."""
+    """Return coefficients of 1, s, s^2, s^3 of stiffness and mass, with the elements where they act."""
     bending, shear, translation, rotation = pristine
     linear, cubic = thinning.coefficients(1), thinning.coefficients(3)
     is_uneven = thinning.profile.any(axis=0)
@@ -272,22 +275,22 @@ def _element_coefficients(
         # The first coefficient has entries for every element, so that it alone has the whole pattern.
         there = (linear[j, 0] != 0.0) | (cubic[j, 0] != 0.0) | (j == 0)
         even = np.flatnonzero(~is_uneven & there)
-        which = np.concatenate((even, uneven))
+        order = np.concatenate((even, uneven))
         in_thickness, in_cube = linear[j, 0, even, None, None], cubic[j, 0, even, None, None]
         if np.array_equal(in_thickness, in_cube):  # one product less, rounded once
             stiff = in_cube * (bending[even] + shear[even])
         else:
             stiff = in_cube * bending[even] + in_thickness * shear[even]
         inert = in_thickness * translation[even] + in_cube * rotation[even]
-        stiffness.append((which, np.concatenate((stiff, varied[0][j]))))
-        mass.append((which, np.concatenate((inert, varied[1][j]))))
+        stiffness.append((order, np.concatenate((stiff, varied[0][j]))))
+        mass.append((order, np.concatenate((inert, varied[1][j]))))
     return stiffness, mass
 
 
 def _load(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> FloatArray:
-    """Put a unit force on all unknowns: at the contact's node, or spread over its circle."""
+    """Return a unit force on all unknowns: at the contact's node, or spread over its circle."""
     load = np.zeros((len(x_m), len(y_m), DOF_PER_NODE))
     if plate.contact == "patch":
         load[:, :, 0] = hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
@@ -297,7 +300,7 @@ def _load(
 
 
 def _element_nodes(n_x: int, n_y: int) -> IntArray:
-    """Node numbers of each element, counter-clockwise, shape (elements, 4)."""
+    """Return node numbers of each element, counter-clockwise, shape (elements, 4)."""
     first = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
     return np.stack((first, first + n_y, first + n_y + 1, first + 1), axis=1)
 
@@ -305,7 +308,10 @@ def _element_nodes(n_x: int, n_y: int) -> IntArray:
 def _free_unknowns(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> IntArray:
-    """Unknowns that neither a support nor a symmetry holds: w and, along an edge, the tangential rotation."""
+    """Return the free unknowns: w and, along an edge, the tangential rotation.
+
+    W and, along an edge, the tangential rotation.
+    """
     held = np.zeros((len(x_m), len(y_m), DOF_PER_NODE), dtype=bool)
     clamped = plate.support == "clamped"
     for axis, half in enumerate(symmetric):

@@ -1,4 +1,4 @@
-"""One small model of the plate for every depth of its patch.
+"""Reduced model of the plate for every depth of its patch.
 
 The plate is linear and driven by one force, so the vectors that matter span a Krylov space (`krylov`). A
 few dozen hold everything the plate does within a record. Such spaces at several depths are merged into
@@ -66,7 +66,7 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
 
 
 def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
-    """Order of elimination: line by line towards the first grid line, along the shorter lines."""
+    """Return the elimination order: line by line towards the first grid line, along the shorter lines."""
     node, kind = np.divmod(plate.free, DOF_PER_NODE)
     line, place = np.divmod(node, len(plate.y_m))
     if len(plate.y_m) > len(plate.x_m):
@@ -75,7 +75,7 @@ def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
 
 
 def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray) -> FloatArray:
-    """Fill the rows of `vectors` with a Krylov space; columns that make its modes of them.
+    """Fill the rows of `vectors` with a Krylov space; return columns that make modes of them.
 
     Each mode is as strong as its part in the response.
     """
@@ -87,8 +87,8 @@ def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: Flo
     def mass(x: FloatArray) -> FloatArray:
         return np.asarray(matrix @ x if liquid is None else matrix @ x + liquid @ x)
 
-    diagonal, beside = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
-    inverse, shapes = linalg.eigh_tridiagonal(diagonal, beside, check_finite=False)
+    diagonal, off_diagonal = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
+    inverse, shapes = linalg.eigh_tridiagonal(diagonal, off_diagonal, check_finite=False)
     participation = (vectors @ plate.load) @ shapes
     # The eigenvalues are 1 / (omega^2 + sigma^2): this is the root of a mode's flexibility at sigma.
     return np.asarray(shapes * (participation * np.sqrt(np.abs(inverse))))
@@ -102,7 +102,7 @@ def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
 
 
 def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
-    """Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
+    """Return the Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
     projected = np.zeros((len(terms), len(vectors), len(vectors)))
     columns = np.ascontiguousarray(vectors.T)
     for term, into in zip(terms, projected, strict=True):

@@ -1,1 +1,1 @@
-"""The three-dimensional plate of high order. Unaware of the thin one."""
+"""Three-dimensional plate of high order. Independent of the thin one."""

@@ -1,4 +1,4 @@
-"""Exact answers of elastic solids to Hertz's pressure over a circle: the half-space and the held plate."""
+"""Exact solutions of elastic solids under Hertz's pressure: the half-space and the supported plate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDE_RADIUS = 0.02
 def half_space_indentation_m_per_n(
     youngs_modulus_pa: float, poisson_ratio: float, contact_radius_m: float
 ) -> float:
-    """Mean deflection of a half-space under a unit force of Hertz's pressure, ``0.6 (1 - nu^2) / (E a)``.
+    """Return the half-space's mean deflection under a unit force, ``0.6 (1 - nu^2) / (E a)``.
 
     Under ``p = p0 sqrt(1 - r^2 / a^2)``, ``p0 = 3 F / (2 pi a^2)``, the surface within the circle sinks by
     ``u(r) = pi p0 (1 - nu^2) (2 a^2 - r^2) / (4 E a)`` (Johnson 1985, Contact Mechanics, equation 3.41a,
@@ -39,7 +39,7 @@ def half_space_indentation_m_per_n(
 
 
 def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
-    """Deflection of the loaded face per pressure that varies as ``sin ax sin by``, ``k^2 = a^2 + b^2``.
+    """Return the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
 
     Exact for hard simple support: half the load presses both faces against each other, half bends,
 
@@ -57,14 +57,14 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
 
 
 def hertz_transform(q: FloatArray) -> FloatArray:
-    """Fourier transform of Hertz's pressure over its force, ``3 (sin q - q cos q) / q^3`` with q = k a."""
+    """Return Hertz's pressure transformed over its force, ``3 (sin q - q cos q) / q^3`` with q = k a."""
     return np.asarray(3.0 * (np.sin(q) - q * np.cos(q)) / q**3)
 
 
 def exact_contact_compliance_m_per_n(
     plate: PlateParameters, width_m: float, height_m: float, thickness_m: float
 ) -> float:
-    """Averaged deflection of the circle at the centre of a simply supported plate under a unit force.
+    """Return the averaged deflection of the centre circle of a simply supported plate under a unit force.
 
     A double sine series. Short waves see a half-space; they are summed in closed form: the series of the
     half-space is its indentation and the deflection by the images of the load beyond the edges, which does
@@ -88,7 +88,7 @@ def _series(
     highest_per_m: float,
     flexibility: Callable[[FloatArray], FloatArray],
 ) -> float:
-    """Sum over the waves that move the centre, each weighted by Hertz's pressure twice."""
+    """Sum the waves that move the centre, each weighted by Hertz's pressure twice."""
     alpha, beta = (
         np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
     )

@@ -1,4 +1,4 @@
-"""The solid plate at every depth from one basis.
+"""Solid plate at every depth from one basis.
 
 The grid lines lie at the same fractions of both layers whatever the depth, so that displacements of all
 nodes mean the same motions everywhere, and the projected layers are known at any thickness
@@ -51,7 +51,7 @@ RESIDUAL_NODES = 13
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolidFamily:
-    """Projected solid plate for every depth.
+    """Solid plate projected for every depth.
 
     Attributes
     ----------
@@ -65,23 +65,23 @@ class SolidFamily:
     residual: FloatArray
 
     def modes(self, remaining: float) -> PlateModes:
-        """Modes with the part `remaining` of the thickness left within the patch, ready for a shot."""
+        """Return modes with the fraction `remaining` of the thickness within the patch, ready for a shot."""
         added = float(chebyshev.chebval(_log_place(remaining), self.residual))
         return passive_modes(self.projected.modes(remaining, added))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Give what `family_of` needs to make it again."""
+        """Return the arrays that `family_of` needs to restore it."""
         return asdict(self.projected) | {"residual": self.residual}
 
 
 def family_of(arrays: Mapping[str, FloatArray]) -> SolidFamily:
-    """Make the family whose `arrays` these are."""
+    """Restore the family from its `arrays`."""
     projected = {name: values for name, values in arrays.items() if name != "residual"}
     return SolidFamily(projected=ProjectedSolid(**projected), residual=arrays["residual"])
 
 
 def _log_place(remaining: float) -> float:
-    """Place on -1..1 of a remaining part between the deepest patch's and all."""
+    """Return the position on -1..1 of a remaining fraction between the deepest patch's and all."""
     return 1.0 - 2.0 * math.log(remaining) / math.log(1.0 - DEEPEST_PATCH_FRACTION)
 
 
@@ -106,8 +106,8 @@ def solid_family(
     built = build_solid_plate(plate, _at(corrosion, 0.5))
     fields = np.hstack(spaces)
     strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
-    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
-    basis = fields @ (directions[:, kept] / np.sqrt(strength[kept]))
+    is_strong = strength > MERGE_TOLERANCE**2 * strength[-1]
+    basis = fields @ (directions[:, is_strong] / np.sqrt(strength[is_strong]))
     places = chebyshev.chebpts1(RESIDUAL_NODES)
     deepest = math.log(1.0 - DEEPEST_PATCH_FRACTION)
     residuals = []

@@ -30,7 +30,7 @@ CUT_POINTS = 16
 def patch_integrals(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Fraction of each element within the patch, and the integrals over what a circle leaves of it."""
+    """Return the fraction of each element within the patch, and the integrals over a circle's part of it."""
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
@@ -49,7 +49,7 @@ def patch_integrals(
 
 
 def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
-    """Integrals over one element, numbered (x, y), with N_,x for a derivative.
+    """Integrate over one element, numbered (x, y), with N_,x for a derivative.
 
     ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
     """
@@ -67,7 +67,7 @@ def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
 
 
 def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
-    """Take the same integrals over what a circle about the origin covers of an element."""
+    """Integrate over an element's part within a circle about the origin."""
     left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
     bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
     crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
@@ -106,7 +106,7 @@ def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray,
 
 
 def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
-    """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
+    """Return nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
 
     The loads add up to one, for a quarter of the plate, too.
     """
@@ -120,7 +120,7 @@ def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> Fl
 def in_plane_terms(
     plate: PlateParameters, integrals: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Isotropic elasticity of one element, its dependence on z split off; numbered (node, component).
+    """Return isotropic elasticity of one element, dependence on z split off; numbered (node, component).
 
     The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
 

@@ -102,18 +102,18 @@ class SolidPlate:
 
     @property
     def upper_nodes(self) -> int:
-        """Nodes of z in the upper layer, those on its lower face included."""
+        """Return nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
     def displacements_of(self, ex: int, ey: int) -> IntArray:
-        """Numbers of the displacements of one column, shape (nodes in the plane, 3, nodes of z)."""
+        """Return displacement numbers of one column, shape (nodes in the plane, 3, nodes of z)."""
         nodes_y, nodes_z = self.kinds.shape[1], self.numbers.shape[2]
         nodes = (self.x.nodes_of(ex)[:, None] * nodes_y + self.y.nodes_of(ey)).ravel()
         components = nodes[:, None] * COMPONENTS + np.arange(COMPONENTS)
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrals over z of one layer for nodes of `kind`, see `tensor_basis.Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`, see `tensor_basis.Axis.matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.matrices(layer)
         if kind == 0:
@@ -164,7 +164,7 @@ def build_solid_plate(
 
 
 def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
-    """Cut what is left within the patch out of `plate`: same elements, simply supported edges."""
+    """Cut the remaining wall within the patch out of `plate`: same elements, simply supported edges."""
     half_x, half_y = corrosion.half_sizes_m
     x, y = (
         Axis(breaks_m=a.breaks_m[: count + 1], degrees=a.degrees[:count])
@@ -179,7 +179,7 @@ def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> So
 
 
 def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Refuse what the solid plate does not model."""
+    """Reject parameters that the solid plate does not model."""
     remedy = "use plate.model = 'mindlin'"
     if plate.support == "free":
         raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
@@ -238,7 +238,7 @@ def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *,
 
 
 def _through_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
-    """Grid lines at the same fractions of both layers at any depth: shots change smoothly with it."""
+    """Return grid lines at the same fractions of both layers at any depth: shots change smoothly with it."""
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
     degrees: tuple[int, ...] = (graded + 1, graded, graded)
@@ -258,7 +258,7 @@ def assembled_solid(
     symmetry: Symmetry,
     support: str | None = None,
 ) -> SolidPlate:
-    """Put the plate together on any axes from the contact on, the first three intervals of z above the patch.
+    """Assemble the plate on any axes from the contact on, the first three intervals of z above the patch.
 
     `support` replaces that of `plate`; see `build_solid_plate` for the rest.
     """
@@ -278,12 +278,12 @@ def assembled_solid(
         lagrange(q, 2.0 * z_m[:upper_nodes] / z_m[upper_nodes - 1] - 1.0)[0],
         lagrange(q, 2.0 * z_m / z_m[-1] - 1.0)[0],
     )
-    there = _there(x, y, len(z_m), upper_nodes, inside)
+    existing = _existing_nodes(x, y, len(z_m), upper_nodes, inside)
     for kind in (1, 2):
-        there[kinds == kind] = np.arange(len(z_m)) < q + 1
-    held = _held(plate.support if support is None else support, there.shape, symmetry)
-    numbers = _numbered(there[..., None] & ~held, symmetry)
-    lift = _lift(numbers, kinds, shapes)
+        existing[kinds == kind] = np.arange(len(z_m)) < q + 1
+    fixed = _fixed_displacements(plate.support if support is None else support, existing.shape, symmetry)
+    numbers = _numbered(existing[..., None] & ~fixed, symmetry)
+    lift = _lift_matrix(numbers, kinds, shapes)
     weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
     force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
     force[:, :, 2, 0] = weights
@@ -312,7 +312,7 @@ def assembled_solid(
 
 
 def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float) -> IntArray:
-    """Choose the unknowns of each node, see `SolidPlate.kinds`; where a circle cuts, all layers stay."""
+    """Return the unknowns of each node, see `SolidPlate.kinds`; where a circle cuts, all layers stay."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":
@@ -327,34 +327,36 @@ def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters,
     return np.asarray(kinds)
 
 
-def _there(x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray) -> NDArray[np.bool_]:
-    """Tell which nodes belong to an element, shape (nodes of x, of y, of z)."""
-    there = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
-    there[:, :, :upper_nodes] = True
+def _existing_nodes(
+    x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
+) -> NDArray[np.bool_]:
+    """Return which nodes belong to an element, shape (nodes of x, of y, of z)."""
+    existing = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
+    existing[:, :, :upper_nodes] = True
     for ex, ey in np.argwhere(inside < 1.0):
-        there[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = True
-    return there
+        existing[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = True
+    return existing
 
 
-def _held(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
-    """Tell which displacements the supports and the symmetry planes hold."""
-    held = np.zeros((*shape, COMPONENTS), dtype=bool)
+def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
+    """Return which displacements the supports and the symmetry planes fix."""
+    fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
-    held[-1, :, :, 0] = clamped
-    held[-1, :, :, 1:] = True
-    held[:, -1, :, 1] |= clamped
-    held[:, -1, :, ::2] = True
+    fixed[-1, :, :, 0] = clamped
+    fixed[-1, :, :, 1:] = True
+    fixed[:, -1, :, 1] |= clamped
+    fixed[:, -1, :, ::2] = True
     if symmetry == "none":
-        held[0] |= held[-1]
-        held[:, 0] |= held[:, -1]
+        fixed[0] |= fixed[-1]
+        fixed[:, 0] |= fixed[:, -1]
     else:
-        held[0, :, :, 0] = True
-        held[:, 0, :, 1] = True
-    return held
+        fixed[0, :, :, 0] = True
+        fixed[:, 0, :, 1] = True
+    return fixed
 
 
 def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
-    """Give the free displacements numbers; across the diagonal of an eighth u and v change places."""
+    """Assign numbers to the free displacements; across the diagonal of an eighth u and v change places."""
     own = np.ones(free.shape, dtype=bool)
     diagonal = np.arange(min(free.shape[:2]))
     if symmetry == "eighth":
@@ -370,8 +372,10 @@ def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
     return numbers
 
 
-def _lift(numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]) -> sparse.csr_matrix:
-    """Take the unknowns to the displacements of all nodes."""
+def _lift_matrix(
+    numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
+) -> sparse.csr_matrix:
+    """Return the map from the unknowns to the displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)
     rows, columns, values = [], [], []

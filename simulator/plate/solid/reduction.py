@@ -1,4 +1,4 @@
-"""The solid plate as the chain feels it: modes at one depth of the patch, or of every depth from one basis.
+"""Modes of the solid plate at one depth of the patch, or of every depth from one basis.
 
 The force drives few motions, the Krylov space of the load: ``x_0 = (K + sigma^2 M)^-1 b``,
 ``x_(j+1) = (K + sigma^2 M)^-1 M x_j``. With the grid lines at fixed fractions of the two layers, the
@@ -43,7 +43,7 @@ SHALLOWEST_FRACTION = 1e-4
 
 
 def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Compliance that the mesh lacks under the contact, found where the exact one is known.
+    """Return the compliance that the mesh lacks under the contact, from a case with an exact solution.
 
     The same elements as those within the patch make a plate of its remaining thickness, simply supported at
     the patch's edge: its averaged deflection is too small, by nearly what that of the whole plate is.
@@ -60,7 +60,7 @@ Fold = tuple[IntArray, sparse.csr_matrix]
 
 
 def column_folds(plate: SolidPlate) -> list[Fold]:
-    """Sorted unknowns of each column, and what takes them (rows) to its displacements (columns)."""
+    """Return sorted unknowns of each column, and the map from them (rows) to its displacements (columns)."""
     return [_fold(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
@@ -80,7 +80,7 @@ def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
 
 
 def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
-    """Kind of all nodes of a column, 0 if they differ, and how many unknowns (or nodes) each has along z."""
+    """Return the kind of a column's nodes (0 if they differ), and the unknowns (or nodes) of each along z."""
     kinds = plate.kinds[np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))]
     if kinds.flat[0] and np.all(kinds == kinds.flat[0]):
         kind = int(kinds.flat[0])
@@ -89,7 +89,7 @@ def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 
 
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and mass of one column over its unknowns, as often as it is there in the whole plate."""
+    """Return stiffness and mass of one column over its unknowns, times its copies in the complete plate."""
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _column_kind(plate, ex, ey)
     whole = in_plane_integrals(plate.x, plate.y, ex, ey)
@@ -117,7 +117,7 @@ def _folded(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
 
 
 def shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
-    """Prepare to solve with ``K + sigma^2 M``."""
+    """Return a solver of ``K + sigma^2 M``."""
     folds = column_folds(plate)
 
     def cell(column: int) -> FloatArray:
@@ -128,7 +128,7 @@ def shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[Float
 
 
 def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
-    """Multiply by the mass: layer by layer an in-plane matrix and one through the thickness."""
+    """Return the product with the mass: per layer an in-plane matrix and one through the thickness."""
     shape = int(plate.x.first[-1]) + 1, int(plate.y.first[-1]) + 1
     scale = float(plate.repeats.min()) * plate.parameters.density_kg_per_m3
     layers = []
@@ -160,7 +160,7 @@ def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
 
 
 def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
-    """Mass-orthonormal Krylov space of the load, as displacements of all nodes, shape (n, vectors)."""
+    """Return the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
     solve, mass = shifted_solver(plate, SHIFT_RAD_PER_S), mass_product(plate)
     basis = np.empty((vectors, len(plate.load)))
     mass_basis = np.empty_like(basis)
@@ -197,7 +197,7 @@ class ProjectedSolid:
     load: FloatArray
 
     def modes(self, remaining: float, residual_compliance_m_per_n: float) -> PlateModes:
-        """Modes with the part `remaining` of the thickness left within the patch."""
+        """Return modes with the fraction `remaining` of the thickness left within the patch."""
         s, lost = remaining, 1.0 - remaining
         factors = np.array([s, 1.0 / s, 1.0, lost, 1.0 / lost if lost else 0.0, 1.0 if lost else 0.0])
         stiffness = np.tensordot(factors, self.stiffness, 1)
@@ -211,7 +211,7 @@ class ProjectedSolid:
 
 
 def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
-    """Galerkin projection of each layer onto `fields`, displacements of all nodes, shape (n, r)."""
+    """Return each layer's Galerkin projection onto `fields`, displacements of all nodes, shape (n, r)."""
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
     h = plate.parameters.thickness_m
@@ -250,14 +250,14 @@ def _energy(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> Flo
 def solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
-    """Modes of the solid plate at the depth of `corrosion`, ready for a shot.
+    """Return modes of the solid plate at the depth of `corrosion`, ready for a shot.
 
     Raises
     ------
     SpecimenError
         The model does not know such a plate or patch; see `build_solid_plate`.
     """
-    corrosion = _without_trace(corrosion)
+    corrosion = _without_patch(corrosion)
     built = build_solid_plate(plate, corrosion)
     projected = project(built, krylov_fields(built, vectors))
     remaining = 1.0 - corrosion.depth_fraction * corrosion.depth_factor
@@ -265,7 +265,7 @@ def solid_modes(
 
 
 def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Compliance to add to the modes: what the mesh lacks under the contact, less the half-space's part."""
+    """Return the mesh's missing compliance under the contact, less the half-space's part."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
@@ -274,7 +274,7 @@ def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) 
     return contact_correction_m_per_n(plate, corrosion) - indentation
 
 
-def _without_trace(corrosion: CorrosionParameters) -> CorrosionParameters:
+def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion

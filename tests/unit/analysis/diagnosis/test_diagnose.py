@@ -13,7 +13,7 @@ from analysis.diagnosis.diagnose import (
     WALL_STATED,
     Diagnosis,
     diagnosis_of,
-    remembering,
+    state_with_diagnosis,
 )
 from analysis.diagnosis.hypotheses import COUPLING, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
@@ -77,7 +77,7 @@ def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = 
         if confirmation is not None and index == BASELINE + 30:
             memory = with_confirmation(memory, design.mean, logs[0] + confirmation)
         assessment = diagnosis_of(memory, design)
-        memory = remembering(memory, assessment)
+        memory = state_with_diagnosis(memory, assessment)
         if index % EVERY == 0:
             yield assessment
 
@@ -186,14 +186,14 @@ def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> N
         assessment = diagnosis_of(memory, design)
         if assessment.probabilities[WALL] >= WALL_STATED:
             break
-        memory = remembering(memory, assessment)
+        memory = state_with_diagnosis(memory, assessment)
     assert assessment.cause == UNDETERMINED
-    memory = remembering(memory, assessment)
+    memory = state_with_diagnosis(memory, assessment)
     following = with_set(memory, design.mean, logs[index + 1], index + 1)
     assert diagnosis_of(following, design).cause == WALL
     confirmation_change = with_confirmation(memory, design.mean, logs[index + 1])
     assert diagnosis_of(confirmation_change, design).cause == WALL
-    healthy_again = remembering(memory, diagnosis_of(DiagnosisState(), design))
+    healthy_again = state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design))
     assert not healthy_again.likely
 
 
@@ -209,7 +209,7 @@ def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
     assert between
     assert {diagnosis_of(one, design).cause for one in between} == {UNDETERMINED}
     assert {diagnosis_of(replace(one, wall=True), design).cause for one in between} == {WALL}
-    assert not any(remembering(one, diagnosis_of(one, design)).likely for one in between)
+    assert not any(state_with_diagnosis(one, diagnosis_of(one, design)).likely for one in between)
 
 
 def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
@@ -222,8 +222,8 @@ def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
     told = diagnosis_of(memory, design)
     assert told.probabilities[SENSOR] > 0.9
     assert told.cause == UNDETERMINED
-    assert remembering(memory, told).wall
-    assert not remembering(memory, diagnosis_of(DiagnosisState(), design)).wall
+    assert state_with_diagnosis(memory, told).wall
+    assert not state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design)).wall
 
 
 def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
@@ -253,7 +253,7 @@ def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
         memory = with_set(memory, design.mean, logs[index], index)
         assessment = diagnosis_of(memory, design)
-        memory = remembering(memory, assessment)
+        memory = state_with_diagnosis(memory, assessment)
     assert (memory.gap, memory.gap_ago) == (105, 4)
     assert assessment.cause == WALL
     # Had the plan been without a gap, it would have come at once.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.diagnosis.noise import BEFOREHAND, END_RATES, PHI, covariances, ends_of, variances_of
+from analysis.diagnosis.noise import BEFOREHAND, END_RATES, PHI, covariances, end_averages, variances_of
 from analysis.diagnosis.state import MOST_AVERAGED, weights
 
 BASELINE, DIRECTIONS = 200, 7
@@ -64,8 +64,8 @@ def test_differences_from_a_baseline_scatter_as_its_parts_make_them(
 def test_where_a_baseline_ended_is_told_by_its_last_sets() -> None:
     changes = np.zeros((BASELINE, DIRECTIONS))
     changes[-1] = 1.0
-    assert ends_of(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))
-    assert ends_of(changes[:-1]) == pytest.approx(0.0)
+    assert end_averages(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))
+    assert end_averages(changes[:-1]) == pytest.approx(0.0)
     # What a wander owes to the baseline is forgotten in the end, and nothing else.
     near, far = (covariances(MOST_AVERAGED, since, None, BASELINE)[5, 2:, 2:] for since in (250, 2000))
     assert (np.diag(far) > np.diag(near)).all()

@@ -10,17 +10,17 @@ from analysis.statistics.design import Budget
 from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
-    Shared,
-    alike,
-    chance_so_far,
-    gain,
-    kept_of_shared,
+    SharedChange,
+    find_shared_changes,
+    mean_squared_correlation,
     raised_at,
-    shared_causes,
+    residual_shift,
+    running_chance,
+    sensor_gain,
     shared_deviation,
     standardized,
-    usual_memory,
-    usual_tails,
+    typical_autocorrelation,
+    typical_tails,
 )
 from analysis.statistics.mewma import averages, estimated_limit
 from analysis.statistics.sequence import assess
@@ -31,7 +31,7 @@ NAMES = list("abcde")
 
 def test_a_chart_at_its_limit_has_the_chance_that_its_run_length_says():
     limit = estimated_limit(200, P, 1000.0)
-    chance = chance_so_far(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
+    chance = running_chance(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
     # Between the table's run lengths the limit is nearly linear in their logarithm.
     assert chance == pytest.approx([1.0, 1.0, *3 * [1.0 - np.exp(-0.25)]], rel=0.01)
 
@@ -42,7 +42,7 @@ def test_chances_of_healthy_sensors_are_even():
     sets, last = 400, []
     for _ in range(300):
         z = averages(random.standard_normal((sets, P)), np.zeros(P))
-        last.append(chance_so_far(19.0 * (z**2).sum(axis=1), 100_000, P, sets)[-1])
+        last.append(running_chance(19.0 * (z**2).sum(axis=1), 100_000, P, sets)[-1])
     small = np.array(last)[np.array(last) < 0.5]
     # Where it decides; near one the first sets after a zero start make a difference.
     assert kstest(small / 0.5, "uniform").pvalue > 0.01
@@ -86,25 +86,25 @@ def test_memory_and_tails_of_the_fleet_are_those_of_its_sensors():
     # taken nearer to each other than they are, by up to another tenth.
     random_numbers = [random.standard_normal((400, P)) for _ in range(60)]
     unequal = [remembering(one, UNEQUAL) for one in random_numbers]
-    assert usual_memory(unequal) == pytest.approx(sorted(UNEQUAL, reverse=True), abs=0.1)
-    assert usual_memory(baselines("independent")) == pytest.approx(np.zeros(P), abs=0.06)
-    normal, heavy = usual_tails(baselines("independent")), usual_tails(baselines("t5"))
+    assert typical_autocorrelation(unequal) == pytest.approx(sorted(UNEQUAL, reverse=True), abs=0.1)
+    assert typical_autocorrelation(baselines("independent")) == pytest.approx(np.zeros(P), abs=0.06)
+    normal, heavy = typical_tails(baselines("independent")), typical_tails(baselines("t5"))
     assert normal == 1.0  # Mardia's (n - 1)/(n + 1) of normal sets is below 1
     assert 1.5 < heavy < 3.0  # 3 of endless sets: (5 - 2)/(5 - 4); a hundred seldom hold the far ones
     empty = np.full((40, P), np.nan)
-    assert usual_tails([empty]) == 1.0
-    assert not usual_memory([empty]).any()
+    assert typical_tails([empty]) == 1.0
+    assert not typical_autocorrelation([empty]).any()
 
 
 def test_a_shared_shift_is_named_with_its_rows_and_size():
     shared = np.zeros((300, P))
     shared[100:160, 2] = -2.0
-    (cause,) = shared_causes(shared, 100, 0.0, 50)
+    (cause,) = find_shared_changes(shared, 100, 0.0, 50)
     # The average reaches .3 of -2 after two sets, and is below it 18 after the last.
     assert (cause.first_row, cause.last_row) == (101, 176)
     assert cause.largest_sd == pytest.approx((0.0, 0.0, -2.0, 0.0, 0.0), abs=0.01)
-    assert shared_causes(shared, 100, 0.0, 120)[0].first_row == 120
-    assert shared_causes(shared, FEWEST_SENSORS - 1, 0.0, 50) == ()
+    assert find_shared_changes(shared, 100, 0.0, 120)[0].first_row == 120
+    assert find_shared_changes(shared, FEWEST_SENSORS - 1, 0.0, 50) == ()
 
 
 def test_independent_sensors_share_nothing_and_one_in_twenty_moves_the_median_little():
@@ -112,7 +112,7 @@ def test_independent_sensors_share_nothing_and_one_in_twenty_moves_the_median_li
     z = random.standard_normal((20, 2000, P))
     z[0, 500:] += 6.0
     shared = shared_deviation(z)
-    assert shared_causes(shared, 20, 0.0, 0) == ()
+    assert find_shared_changes(shared, 20, 0.0, 0) == ()
 
 
 def test_the_unbroken_chart_is_the_chart_until_its_first_alarm():
@@ -129,8 +129,10 @@ def test_features_that_move_together_err_together():
     one = np.random.default_rng(2).standard_normal((500, 1))
     both = np.hstack([one, -one, np.random.default_rng(3).standard_normal((500, 1))])
     # An unrelated feature: squared correlations of 1/500 on average, five standard errors.
-    np.testing.assert_allclose(alike([both, both]), [[1, 1, 0], [1, 1, 0], [0, 0, 1]], rtol=0, atol=0.02)
-    short = alike([both[:5]])
+    np.testing.assert_allclose(
+        mean_squared_correlation([both, both]), [[1, 1, 0], [1, 1, 0], [0, 0, 1]], rtol=0, atol=0.02
+    )
+    short = mean_squared_correlation([both[:5]])
     np.testing.assert_array_equal(short, np.eye(3))
 
 
@@ -138,19 +140,21 @@ def test_what_unlike_sensors_keep_of_the_weather_is_found():
     """A season of 2 SD; gains that scatter by a fifth leave three fifths of 2 SD with some sensors."""
     random = np.random.default_rng(5)
     shared = 2.0 * np.sin(np.arange(500) / 80.0)[:, None] * np.linspace(1.0, 0.2, P)
-    causes = (Shared(first_row=0, last_row=499, largest_sd=(2.0, 0.4)),)
+    causes = (SharedChange(first_row=0, last_row=499, largest_sd=(2.0, 0.4)),)
     usual = {"phi": 0.0, "n": 100, "tails": 1.0}
 
     def kept(scatter):
         gains = []
         for g in 1.0 + scatter * random.standard_normal(200):
             sd = random.standard_normal((usual["n"], P)).std(axis=0, ddof=1)  # as a baseline shows it
-            gains.append(gain((g * shared + random.standard_normal(shared.shape)) / sd, shared, np.eye(P)))
-        return kept_of_shared(gains, causes, **usual)
+            gains.append(
+                sensor_gain((g * shared + random.standard_normal(shared.shape)) / sd, shared, np.eye(P))
+            )
+        return residual_shift(gains, causes, **usual)
 
     # The scatter of 200 gains is known to 6 %, by their median deviation to about twice that.
     assert kept(0.2) == pytest.approx(3 * 0.2 * 2.0, rel=0.25)
     # Without taking off what chance makes: 3 x 2 SD x .045, which is .27.
     assert kept(0.0) < SHARED_SD / 2
-    assert kept_of_shared([gain(shared, 0.0 * shared, np.eye(P))], causes, **usual) == 0.0
-    assert kept_of_shared([(1.0, 0.1, 0.3), (3.0, 0.1, 0.3)], (), **usual) == 0.0
+    assert residual_shift([sensor_gain(shared, 0.0 * shared, np.eye(P))], causes, **usual) == 0.0
+    assert residual_shift([(1.0, 0.1, 0.3), (3.0, 0.1, 0.3)], (), **usual) == 0.0

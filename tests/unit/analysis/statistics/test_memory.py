@@ -5,11 +5,11 @@ from support.healthy_sequences import remembering
 from analysis.errors import InvalidInputError
 from analysis.statistics.memory import (
     autocorrelation,
-    corrected,
+    corrected_autocorrelation,
     effective_sets,
     pooled_phi,
     prewhitened,
-    significant,
+    significant_phi,
 )
 
 
@@ -45,9 +45,9 @@ def test_pooled_phi_has_no_bias_worth_speaking_of(phi):
 
 
 def test_corrected_is_clipped_and_small_memory_is_none():
-    assert corrected([-0.5, 0.9999], 48).tolist() == [0.0, 0.95]
-    assert significant(0.2, 48) == 0.0  # 1.64/sqrt(48) = .237
-    assert significant(0.3, 48) == 0.3
+    assert corrected_autocorrelation([-0.5, 0.9999], 48).tolist() == [0.0, 0.95]
+    assert significant_phi(0.2, 48) == 0.0  # 1.64/sqrt(48) = .237
+    assert significant_phi(0.3, 48) == 0.3
     assert effective_sets(48, 0.5) == pytest.approx(16.0)
 
 

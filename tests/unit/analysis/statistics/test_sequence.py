@@ -5,9 +5,9 @@ import pytest
 from support.healthy_sequences import UNEQUAL, healthy, remembering
 
 from analysis.statistics.baseline import fit_baseline
-from analysis.statistics.baseline_check import named_in
-from analysis.statistics.chart import designed, unshown_memory
-from analysis.statistics.design import Budget, at_the_end_of, design_of, next_alarming, next_memory
+from analysis.statistics.baseline_check import find_anomalies
+from analysis.statistics.chart import design_chart, unverified_rate_reason
+from analysis.statistics.design import Budget, design_of, next_alarm, next_chart_state, state_at_end_of
 from analysis.statistics.directions import directions_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import left_out_distances
@@ -98,9 +98,9 @@ def test_set_after_set_the_design_says_what_it_says_of_the_whole_sequence(name, 
     baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
     design = design_of(x[:n], baseline, Budget().run_length)
     assert {key: limit for key, limit in design.limits.items() if key != "chart"} == found.limits
-    memory, beyond = at_the_end_of(baseline, x[rows[-1]]), []
+    memory, beyond = state_at_end_of(baseline, x[rows[-1]]), []
     for row in [row for row in range(n, found.onsets[0] + 1) if np.isfinite(x[row]).all()]:
-        memory, statistics = next_memory(memory, design, row, x[row])
+        memory, statistics = next_chart_state(memory, design, row, x[row])
         # Both compute the same, in another order of operations.
         assert statistics["distance_squared"] == pytest.approx(found.distances_squared[row], rel=1e-9)
         assert statistics["mewma_textbook"] == pytest.approx(found.mewma_textbook[row], rel=1e-9)
@@ -111,10 +111,10 @@ def test_set_after_set_the_design_says_what_it_says_of_the_whole_sequence(name, 
 
 
 def test_an_alarm_of_the_chart_ends_where_a_healthy_sensor_is_on_average():
-    assert not next_alarming(False, 40.0, 40.0, 5)
-    assert next_alarming(False, 40.1, 40.0, 5)
-    assert next_alarming(True, 5.1, 40.0, 5)
-    assert not next_alarming(True, 5.0, 40.0, 5)
+    assert not next_alarm(False, 40.0, 40.0, 5)
+    assert next_alarm(False, 40.1, 40.0, 5)
+    assert next_alarm(True, 5.1, 40.0, 5)
+    assert not next_alarm(True, 5.0, 40.0, 5)
 
 
 def test_one_rogue_set_alone_never_alarms():
@@ -193,11 +193,11 @@ def test_bad_sets_of_a_baseline_are_named_by_their_rows():
     x = healthy("independent", 48, np.random.default_rng(12))
     x[[5, 6, 7, 20, 21, 22, 30, 40]] += 8.0
     x[33] -= 12.0
-    found = {one.kind: one.rows for one in named_in(x)}
+    found = {one.kind: one.rows for one in find_anomalies(x)}
     assert found == {"group": (5, 6, 7, 20, 21, 22, 30, 40), "outlier": (33,)}
     trend = healthy("independent", 48, np.random.default_rng(13)) + 3.0 * np.linspace(0, 1, 48)[:, None]
-    assert [one.kind for one in named_in(trend)] == ["trend"]
-    assert named_in(healthy("independent", 48, np.random.default_rng(14))) == ()
+    assert [one.kind for one in find_anomalies(trend)] == ["trend"]
+    assert find_anomalies(healthy("independent", 48, np.random.default_rng(14))) == ()
 
 
 def test_a_group_is_named_among_many_features_too():
@@ -205,13 +205,13 @@ def test_a_group_is_named_among_many_features_too():
     for _ in range(30):
         x, direction = random.standard_normal((48, 8)), random.standard_normal(8)
         x[:8] += 8.0 * direction / np.linalg.norm(direction)
-        found += "group" in {one.kind for one in named_in(x)}
+        found += "group" in {one.kind for one in find_anomalies(x)}
     assert found >= 26  # 94 % are named: 28, and one SD is 1.3
 
 
 def test_few_healthy_baselines_have_something_named():
     named = sum(
-        bool(named_in(healthy("independent", 48, np.random.default_rng([15, k])))) for k in range(150)
+        bool(find_anomalies(healthy("independent", 48, np.random.default_rng([15, k])))) for k in range(150)
     )
     assert 0 < named <= 18  # 6 % of 150 are 9, and one SD is 3
 
@@ -219,7 +219,7 @@ def test_few_healthy_baselines_have_something_named():
 @pytest.mark.parametrize("n", [48, 400])
 def test_memory_is_taken_to_be_larger_than_found(n):
     x = healthy("AR .3", n, np.random.default_rng(16))
-    found, taken = directions_of(x), designed(x, 1000.0).phi
+    found, taken = directions_of(x), design_chart(x, 1000.0).phi
     assert np.arctanh(taken) - np.arctanh(found.guarded) == pytest.approx(np.full(5, 3.0 * found.error))
     # Directions that differ as much as they seem to are known by their own sets alone, else by all of them.
     assert math.sqrt(1 / 5 / n) <= found.error < math.sqrt((1 + 1 / 5) / n)
@@ -252,7 +252,7 @@ def test_a_rate_is_promised_only_where_the_baseline_can_show_it(name, n, why):
     told = []
     for seed in range(10):
         x = healthy(name, n, np.random.default_rng(seed))
-        told.append(unshown_memory(x))
+        told.append(unverified_rate_reason(x))
     # Of ten healthy ones one or two may be doubted (1.5 % each test); of ten that drift most are.
     matching = sum((why in one) if why else one == "" for one in told)
     assert matching >= (10 if n == 48 else 8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.errors import EchoNotFoundError, InvalidInputError, RecordError
-from analysis.ultrasound.thickness import reference_echo, standing_in, thickness, travel_time
+from analysis.ultrasound.thickness import reference_echo, substitute_reference, thickness, travel_time
 from hardware_drivers.measurement import Calibration, Waveform
 
 RATE_HZ = 100e6
@@ -79,7 +79,7 @@ def test_thinning_wall_is_followed_without_a_cycle_skip(thickness_mm):
 def test_a_later_echo_stands_in_for_a_lost_reference():
     first, later_m = reference(), 5.1e-3
     seen = record(later_m, noise_v=0.01)
-    later = standing_in(
+    later = substitute_reference(
         reference(seen, initial_thickness_m=later_m),
         travel_time_s=travel_time(seen, first).travel_time_s,
         reference_travel_time_s=first.travel_time_s,

@@ -6,7 +6,7 @@ from support.synthetic_records import Scene, cos4
 
 from analysis.waves.features import extract_from_volts
 from analysis.waves.outline import FEWEST
-from analysis.waves.template import compared_with_others, learnt
+from analysis.waves.template import compare_with_others, learn_template
 
 SCENE = Scene(noise_fraction=0.03, offset_v=0.0)
 LOST_S = 50e-6
@@ -25,7 +25,7 @@ def clean(n, first=0, **changes):
 
 
 def judged(shots):
-    return [shot.flags for shot in compared_with_others(shots, learnt(shots))]
+    return [shot.flags for shot in compare_with_others(shots, learn_template(shots))]
 
 
 def hard(volts, part):

@@ -6,7 +6,7 @@ from support.synthetic_records import cos4, waveform_of
 
 from analysis.waves.coil_spike import HOLDOFF_PART
 from analysis.waves.features import extract_features
-from analysis.waves.first_settings import HEADROOM, Struck, propose, shot_within
+from analysis.waves.first_settings import HEADROOM, StruckTransducer, propose_settings, shot_within
 
 RATE_HZ = 2e6
 PULSE_S, FALL_S, PRETRIGGER_S = 20e-3, 31.9e-3, 0.1e-3
@@ -22,11 +22,11 @@ def struck(wave_v=2.5, *, noise_v=0.01, offset_v=0.0, off_v=0.0, decay_s=0.2e-3,
     volts += (T >= PULSE_S) * off_v * np.exp(-np.maximum(T - PULSE_S, 0.0) / decay_s)
     strike = waveform_of(volts + offset_v + noise_v * random.standard_normal(T.size), RATE_HZ, 0)
     noise = waveform_of(offset_v + noise_v * random.standard_normal(20_000), RATE_HZ, 0)
-    return Struck(noise=noise, strike=strike, ranges_v=RANGES_V)
+    return StruckTransducer(noise=noise, strike=strike, ranges_v=RANGES_V)
 
 
 def proposed(**transducers):
-    return propose(transducers, pulse_s=PULSE_S, fall_s=FALL_S)
+    return propose_settings(transducers, pulse_s=PULSE_S, fall_s=FALL_S)
 
 
 def test_a_clean_strike_gives_the_papers_own_settings():
@@ -103,7 +103,7 @@ def test_one_level_cannot_serve_waves_of_very_different_heights():
 
 def test_a_clipped_record_asks_for_the_next_range_and_another_strike():
     one = struck(12.0)
-    found = proposed(B=Struck(noise=one.noise, strike=one.strike, ranges_v=(1.0, 10.0, 42.0)))
+    found = proposed(B=StruckTransducer(noise=one.noise, strike=one.strike, ranges_v=(1.0, 10.0, 42.0)))
     assert (found.range_v, found.again, found.troubles) == ({"B": 42.0}, ("B",), {})
     found = proposed(B=one)
     assert (found.range_v, found.again, found.troubles) == ({"B": 10.0}, (), {"B": "range"})

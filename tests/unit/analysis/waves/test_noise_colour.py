@@ -6,7 +6,7 @@ from support.synthetic_records import FWHM_S, Scene, band_limited
 
 from analysis.waves.features import extract_from_volts
 from analysis.waves.noise_colour import noise_colour, strongest_block_noise_v
-from analysis.waves.record_reduction import ExtractionSettings, Given, reduce_records
+from analysis.waves.record_reduction import ExtractionSettings, VoltRecord, reduce_records
 
 SCENE = Scene(noise_fraction=0.0)
 NOISE = 0.01
@@ -46,7 +46,7 @@ def test_noise_that_ends_in_band_is_told_by_its_slow_part(rate_hz, ends_hz, with
 
 
 def reduced(volts, scene, settings):
-    return reduce_records([Given(volts, scene.rate_hz, scene.pretrigger_samples)], settings)[0]
+    return reduce_records([VoltRecord(volts, scene.rate_hz, scene.pretrigger_samples)], settings)[0]
 
 
 def colour(volts, scene, isw_time_s):

@@ -6,7 +6,7 @@ from support.synthetic_records import Scene, cos4
 
 from analysis.waves.features import extract_from_volts
 from analysis.waves.outline import FEWEST
-from analysis.waves.template import compared_with_others, learnt
+from analysis.waves.template import compare_with_others, learn_template
 
 SCENE = Scene(noise_fraction=0.03)
 DISTURBED = ("disturbed",)
@@ -22,7 +22,7 @@ def clean(n, first=0, **changes):
 
 
 def judged(shots):
-    return [shot.flags for shot in compared_with_others(shots, learnt(shots))]
+    return [shot.flags for shot in compare_with_others(shots, learn_template(shots))]
 
 
 def foreign(after_isw_s, height, width_s, seed=99):
@@ -112,8 +112,8 @@ def test_a_wave_at_the_beginning_of_its_record_has_no_outline_before(pretrigger_
 
 
 def test_flags_that_count_the_others_already_stay():
-    shots = compared_with_others([*clean(9), foreign(330e-6, 0.12, 200e-6)], None)
-    assert compared_with_others(shots, None) == shots
+    shots = compare_with_others([*clean(9), foreign(330e-6, 0.12, 200e-6)], None)
+    assert compare_with_others(shots, None) == shots
 
 
 def test_a_long_file_is_compared_with_a_part_of_it(monkeypatch):

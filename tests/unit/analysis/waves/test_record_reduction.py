@@ -8,7 +8,7 @@ from analysis.errors import RecordError
 from analysis.waves.record_reduction import (
     LEAST_EXCESS,
     ExtractionSettings,
-    Given,
+    VoltRecord,
     block_noise,
     fine_noise,
     matched_filter,
@@ -88,7 +88,7 @@ def test_matched_filter_needs_four_samples():
 
 def test_reduction_names_time_zero_and_offset():
     volts = 0.7 + 2.0 * cos4((np.arange(13_005) - 1000) / 1e7, 50e-6)
-    (record,) = reduce_records([Given(volts, 1e7, 1000)], ExtractionSettings())
+    (record,) = reduce_records([VoltRecord(volts, 1e7, 1000)], ExtractionSettings())
     assert record.offset_v == pytest.approx(0.7, abs=1e-12)
     assert record.block_samples == 10
     assert record.blocks_v.size == 1300  # the last 5 samples make no block

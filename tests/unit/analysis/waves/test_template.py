@@ -8,7 +8,13 @@ import pytest
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.outline import Outline
-from analysis.waves.template import Template, compared, compared_with_others, learnt, without_residue
+from analysis.waves.template import (
+    Template,
+    compare_with_others,
+    compare_with_template,
+    flag_residual_reflections,
+    learn_template,
+)
 
 OWN = Template(
     isw_fwhm_s=65e-6, isw_amplitude_v=2.0, amplitude_ratio=0.5, earliest_tof_s=310e-6, pull_fraction=0.02
@@ -25,9 +31,9 @@ SHOT = ShotFeatures(
 
 
 def test_the_transducer_s_own_shot_stays_as_it_was():
-    assert compared(SHOT, OWN) is not None
-    assert compared(SHOT, OWN) == SHOT
-    assert compared(SHOT, None) is SHOT
+    assert compare_with_template(SHOT, OWN) is not None
+    assert compare_with_template(SHOT, OWN) == SHOT
+    assert compare_with_template(SHOT, None) is SHOT
 
 
 @pytest.mark.parametrize(
@@ -49,13 +55,13 @@ def test_the_transducer_s_own_shot_stays_as_it_was():
     ],
 )
 def test_what_is_not_its_own_is_told(changes, flags):
-    found = compared(replace(SHOT, **changes), OWN)
+    found = compare_with_template(replace(SHOT, **changes), OWN)
     assert found.flags == flags
     assert found.valid is not bool(flags)
 
 
 def test_a_weak_strike_keeps_its_own_wave_and_tells_of_no_wall():
-    found = compared(replace(SHOT, isw_amplitude_v=0.4), OWN)
+    found = compare_with_template(replace(SHOT, isw_amplitude_v=0.4), OWN)
     assert (found.isw_amplitude_v, found.isw_time_s, found.noise_rms_v) == (0.4, 5e-5, 0.02)
     assert math.isnan(found.tof_mf_s)
 
@@ -65,7 +71,7 @@ def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag
     silent = replace(
         SHOT, isw_fwhm_s=fwhm_s, tof_mf_s=math.nan, flags=("no_psw",), valid=False, quality="bad"
     )
-    assert compared(silent, OWN).flags == (flag,)
+    assert compare_with_template(silent, OWN).flags == (flag,)
 
 
 @pytest.mark.parametrize(
@@ -75,22 +81,24 @@ def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag
 def test_a_pulse_like_its_own_that_did_not_fire_the_trigger_is_no_sign_of_a_hole(arrives_s, scatter_s, flag):
     silent = replace(SHOT, isw_time_s=arrives_s, flags=("no_psw",), valid=False, quality="bad")
     own = replace(OWN, isw_time_s=5e-5, isw_time_sd_s=scatter_s)
-    assert compared(silent, own).flags == (flag,)
-    assert compared(replace(SHOT, isw_time_s=arrives_s), own).flags == (), "its reflection came with it"
+    assert compare_with_template(silent, own).flags == (flag,)
+    assert compare_with_template(replace(SHOT, isw_time_s=arrives_s), own).flags == (), (
+        "its reflection came with it"
+    )
 
 
 def test_a_reflection_merged_once_is_a_second_strike_and_in_most_shots_the_wall():
     merged = replace(SHOT, flags=("psw_merged",), quality="suspect")
-    assert compared(merged, OWN).flags == ("double", "psw_merged")
-    assert compared(merged, learnt([merged] * 6 + [SHOT] * 4)).flags == ("psw_merged",)
+    assert compare_with_template(merged, OWN).flags == ("double", "psw_merged")
+    assert compare_with_template(merged, learn_template([merged] * 6 + [SHOT] * 4)).flags == ("psw_merged",)
     # A patch thinned by 80 % splits the wave by itself.
-    assert compared(replace(merged, tof_mf_s=640e-6), OWN).flags == ("psw_merged",)
+    assert compare_with_template(replace(merged, tof_mf_s=640e-6), OWN).flags == ("psw_merged",)
 
 
 def test_it_is_learnt_from_valid_shots_if_there_are_three():
     weak = replace(SHOT, isw_amplitude_v=0.1, valid=False)
-    assert learnt([SHOT, SHOT, weak]) is None
-    own = learnt([SHOT, replace(SHOT, isw_amplitude_v=2.2), SHOT, weak])
+    assert learn_template([SHOT, SHOT, weak]) is None
+    own = learn_template([SHOT, replace(SHOT, isw_amplitude_v=2.2), SHOT, weak])
     assert (own.isw_amplitude_v, own.isw_fwhm_s, own.merged) == (pytest.approx(2.1), 65e-6, False)
     assert (own.isw_time_s, own.isw_time_sd_s) == (5e-5, 0.0)
     assert own.earliest_tof_s == pytest.approx(0.9 * 335e-6)
@@ -98,14 +106,17 @@ def test_it_is_learnt_from_valid_shots_if_there_are_three():
 
 def test_weak_strikes_are_told_where_every_second_one_is_weak():
     shots = [SHOT, replace(SHOT, isw_amplitude_v=0.4)] * 5
-    own = learnt(shots)
-    assert [compared(shot, own).flags for shot in shots] == [(), ("missed",)] * 5
+    own = learn_template(shots)
+    assert [compare_with_template(shot, own).flags for shot in shots] == [(), ("missed",)] * 5
 
 
 def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
     pulled = replace(SHOT, pull_fraction=0.08)
     for sd, flags in ((0.01, ("disturbed",)), (0.03, ())):
-        assert compared(replace(pulled, outline=Outline(points=np.zeros(57), sd=sd)), OWN).flags == flags
+        assert (
+            compare_with_template(replace(pulled, outline=Outline(points=np.zeros(57), sd=sd)), OWN).flags
+            == flags
+        )
 
 
 @pytest.mark.parametrize(
@@ -121,8 +132,8 @@ def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
 )
 def test_a_reflection_weaker_than_any_wall_s_is_none(ratio, changes, flags):
     shot = replace(SHOT, amplitude_ratio=ratio, **changes)
-    assert without_residue([shot], None) == [shot]
-    (found,) = without_residue([shot], 0.5)
+    assert flag_residual_reflections([shot], None) == [shot]
+    (found,) = flag_residual_reflections([shot], 0.5)
     assert found.flags == flags
     if found != shot:
         assert (found.valid, found.isw_time_s, found.noise_rms_v) == (False, 5e-5, 0.02)
@@ -132,4 +143,6 @@ def test_a_reflection_weaker_than_any_wall_s_is_none(ratio, changes, flags):
 
 def test_a_residue_shows_in_a_file_of_the_transducer_s_own_waves():
     shots = [SHOT] * 6 + [replace(SHOT, amplitude_ratio=0.11)]
-    assert [shot.flags for shot in compared_with_others(shots, learnt(shots))] == [()] * 6 + [("no_psw",)]
+    assert [shot.flags for shot in compare_with_others(shots, learn_template(shots))] == [()] * 6 + [
+        ("no_psw",)
+    ]

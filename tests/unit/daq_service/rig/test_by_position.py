@@ -6,7 +6,7 @@ import pytest
 
 from daq_service.rig.by_position import Digitizers, Strikers
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, ConnectionLostError
-from hardware_drivers.instruments import Acquired, Asking
+from hardware_drivers.instruments import Acquired, PersonRequests
 from hardware_drivers.measurement import ShotKey
 
 
@@ -16,7 +16,7 @@ class Part:
 
     name: str
     told: list[str]
-    asking: Asking = field(default_factory=Asking)
+    asking: PersonRequests = field(default_factory=PersonRequests)
     gone: bool = False
 
     def strike(self, key: ShotKey) -> None:
@@ -53,7 +53,7 @@ def told() -> list[str]:
 @pytest.mark.parametrize("gone", ["one", "other", "both"])
 def test_every_striker_is_made_safe_once_whatever_another_says(told: list[str], gone: str) -> None:
     one, other = (Part(name, told, gone=gone in (name, "both")) for name in ("one", "other"))
-    strikers = Strikers({"B": one, "C": other, "D": one}, Asking())
+    strikers = Strikers({"B": one, "C": other, "D": one}, PersonRequests())
     with pytest.raises(ConnectionLostError):
         strikers.make_safe()
     assert sorted(told) == ["one safe", "other safe"]
@@ -62,12 +62,12 @@ def test_every_striker_is_made_safe_once_whatever_another_says(told: list[str], 
 def test_every_digitizer_is_disarmed(told: list[str]) -> None:
     one, other = Part("one", told, gone=True), Part("other", told)
     with pytest.raises(ConnectionLostError, match="one is gone"):
-        Digitizers({"B": one, "C": other}, Asking()).disarm()
+        Digitizers({"B": one, "C": other}, PersonRequests()).disarm()
     assert sorted(told) == ["one disarmed", "other disarmed"]
 
 
 def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(told: list[str]) -> None:
-    asking, heard = Asking(), list[tuple[str, ShotKey | None]]()
+    asking, heard = PersonRequests(), list[tuple[str, ShotKey | None]]()
     asking.listen(lambda text, about: heard.append((text, about)))
     part = Part("one", told, asking)
     digitizers, strikers = Digitizers({"B": part}, asking), Strikers({"B": part}, asking)
@@ -82,7 +82,7 @@ def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(told: list
 
 
 def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
-    digitizers = Digitizers({"B": Part("one", told), "C": Part("other", told)}, Asking())
+    digitizers = Digitizers({"B": Part("one", told), "C": Part("other", told)}, PersonRequests())
     with pytest.raises(ConfigurationError, match="not armed"):
         digitizers.read(1.0)
     digitizers.arm(key("B"))
@@ -91,7 +91,7 @@ def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
 
 
 def test_a_position_that_nobody_serves_is_refused(told: list[str]) -> None:
-    strikers = Strikers({"B": Part("one", told)}, Asking())
+    strikers = Strikers({"B": Part("one", told)}, PersonRequests())
     with pytest.raises(
         ConfigurationError, match=r"no striker at position 'C'; there are: B; name one in \[rig"
     ):

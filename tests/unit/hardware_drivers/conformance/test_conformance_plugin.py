@@ -277,14 +277,14 @@ def test_a_sound_instrument_keeps_every_rule(prove):
     [
         ({"parameters": TakesAnyKey}, ["unknown parameters are refused"]),
         ({"parameters": CanBeChanged}, ["parameters cannot be changed"]),
-        ({"identity": {"maker": ""}}, ["it says who it is"]),
-        ({"remedy": ""}, ["looking at it ends in findings with remedies"]),
+        ({"identity": {"maker": ""}}, ["the identity is reported"]),
+        ({"remedy": ""}, ["a check returns findings with remedies"]),
         (
             {"closes": False},
             [
-                "left it can be opened again",
-                "left by an error it lets the error through and can be opened again",
-                "left in the middle it is safe",
+                "it can be opened again after closing",
+                "an error passes through and it can be opened again",
+                "it is safe after an interruption",
                 "after a fault it can be opened again[unplugged]",
             ],
         ),
@@ -306,7 +306,7 @@ def test_a_sound_instrument_keeps_every_rule(prove):
         (
             {"striker": ForgetsTheCoil},
             [
-                "left in the middle it is safe",
+                "it is safe after an interruption",
                 "a strike is one pulse of its own coil",
                 "making safe is never a pulse",
             ],

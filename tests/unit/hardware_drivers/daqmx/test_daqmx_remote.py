@@ -77,7 +77,7 @@ def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
 def test_the_reason_of_grpc_is_in_the_message_and_what_doctor_finds(address, reason):
     """NI's package has one text for whatever makes a server unavailable."""
     pytest.importorskip("nidaqmx")
-    from hardware_drivers.daqmx.survey import survey
+    from hardware_drivers.daqmx.survey import survey_rig
 
     with socket.create_server(("127.0.0.1", 0)) as silent:  # it takes connections and answers nothing
         given = address or "{}:{}".format(*silent.getsockname())
@@ -92,6 +92,6 @@ def test_the_reason_of_grpc_is_in_the_message_and_what_doctor_finds(address, rea
         with pytest.raises(ConnectionLostError, match=reason):
             connection.driver_version()
         connection.close()
-        (finding,) = survey(parameters).findings
+        (finding,) = survey_rig(parameters).findings
     assert (finding.subject, finding.state) == ("driver", "fail")
     assert reason in finding.detail

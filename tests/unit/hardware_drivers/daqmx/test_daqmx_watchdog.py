@@ -8,7 +8,7 @@ import pytest
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
-from hardware_drivers.daqmx.look import findings
+from hardware_drivers.daqmx.look import board_findings
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 
@@ -110,7 +110,7 @@ def test_watchdogs_that_contradict_each_other_are_refused():
 def test_a_board_that_drives_a_coil_without_one_is_worth_a_word():
     def looked(**changes):
         survey = SimpleNamespace(driver_version="", findings=(), boards=(), noise_rms_v={})
-        seen = findings(two_boards(**changes), lambda _: survey, shot_interval_s=4.0)
+        seen = board_findings(two_boards(**changes), lambda _: survey, shot_interval_s=4.0)
         return {finding.subject: finding.state for finding in seen if "watchdog" in finding.subject}
 
     assert looked() == {}

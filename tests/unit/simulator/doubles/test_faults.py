@@ -9,7 +9,7 @@ from support.waiting import ended, happened
 
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.device_model import Brain
-from simulator.doubles.faults import KINDS, Faults, lie
+from simulator.doubles.faults import KINDS, Faults, wrong_answer
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
 from simulator.doubles.vendor_api.table import TABLE
 
@@ -187,7 +187,7 @@ def test_every_call_that_answers_can_lie(entry):
             truth[parameter.name] = np.arange(2, 12)
         else:
             truth[parameter.name] = 8
-    lied = lie(entry, {}, lambda: truth)
+    lied = wrong_answer(entry, {}, lambda: truth)
     assert lied.keys() == truth.keys()
     for name, value in truth.items():
         assert not np.array_equal(lied[name], value)

@@ -44,7 +44,13 @@ QUIET = TwinParameters(
     drift=DriftParameters(enabled=False),
 )
 YEAR_H = 8_766.0
-DRAWN = (nuisance._block, processes._innovations, processes._reseats, processes.wander, processes.noisy)
+DRAWN = (
+    nuisance._block,
+    processes._innovations,
+    processes._reseats,
+    processes.draw_slow_drift,
+    processes.is_noisy_hour,
+)
 
 
 def specimen(twin=QUIET, model=MODEL):

@@ -8,25 +8,28 @@ from hardware_drivers.measurement import PLANNED_SETS
 from simulator.experiment import processes
 from simulator.experiment.processes import (
     LAGS,
+    autocorrelated_values,
+    draw_slow_drift,
+    is_noisy_hour,
     memory_weights,
-    noisy,
-    place_after_reseats,
-    remembering,
+    slow_drift,
     unit_t,
-    wander,
-    wandering,
+    values_after_reseats,
 )
 from simulator.numerics.keyed_random import Purpose
 
 WIDE, SETS = 1_000, 80
-DRAWN = (processes._innovations, processes._reseats, processes.wander, processes.noisy)
+DRAWN = (processes._innovations, processes._reseats, processes.draw_slow_drift, processes.is_noisy_hour)
 
 
 def series(memory, dof=5.0, seed=1, sets=SETS, first=0):
     """Shape (sets, WIDE): as many independent processes side by side."""
     weights = memory_weights(np.full(WIDE, memory))
     return np.array(
-        [remembering(weights, dof, seed=seed, position="B", set_index=first + k) for k in range(sets)]
+        [
+            autocorrelated_values(weights, dof, seed=seed, position="B", set_index=first + k)
+            for k in range(sets)
+        ]
     )
 
 
@@ -68,26 +71,26 @@ def test_the_tails_are_student_s():
 
 
 def test_a_wander_has_its_deviation_and_is_slow():
-    drawn = wander(Purpose.SEATING_WANDER, 1, "B", 4_000, 48.0, 1_000.0)
-    now = wandering(100.0, drawn)
+    drawn = draw_slow_drift(Purpose.SEATING_WANDER, 1, "B", 4_000, 48.0, 1_000.0)
+    now = slow_drift(100.0, drawn)
     # Sums of eight sinusoids: their variance is 1 and scatters less than that of a normal.
     assert now.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * now.size))
-    later = wandering(101.0, drawn)
+    later = slow_drift(101.0, drawn)
     steepest_per_h = 2.0 * np.pi / 48.0 * np.sqrt(2.0 * processes.WANDER_TERMS)
     assert np.abs(later - now).max() < steepest_per_h
     assert np.corrcoef(now, later)[0, 1] > 0.99
-    assert abs(np.corrcoef(now, wandering(5_000.0, drawn))[0, 1]) < 0.2
+    assert abs(np.corrcoef(now, slow_drift(5_000.0, drawn))[0, 1]) < 0.2
 
 
 def test_re_seats_come_at_their_rate_go_either_way_and_stay():
     rate_per_h, hours = 0.002, 100_000.0
-    count, _ = place_after_reseats(hours, rate_per_h, seed=1, position="B", size=3)
+    count, _ = values_after_reseats(hours, rate_per_h, seed=1, position="B", size=3)
     low, high = stats.poisson.interval(1.0 - 1e-4, rate_per_h * hours)
     assert low <= count <= high
     places, hour_of = [], []
     before, seen = np.zeros(3), 0
     for hour in np.arange(0.0, 20_000.0, 20.0):
-        now_count, now = place_after_reseats(float(hour), rate_per_h, seed=1, position="B", size=3)
+        now_count, now = values_after_reseats(float(hour), rate_per_h, seed=1, position="B", size=3)
         if now_count == seen:
             np.testing.assert_array_equal(now, before)
         else:
@@ -99,15 +102,15 @@ def test_re_seats_come_at_their_rate_go_either_way_and_stay():
     low, high = stats.binom.interval(1.0 - 1e-4, above.size, 0.5)
     assert low <= above.sum() <= high
     first_h = min(hour_of)
-    assert place_after_reseats(first_h - 20.0, rate_per_h, seed=1, position="B", size=3)[0] == 0
-    assert place_after_reseats(hours, 0.0, seed=1, position="B", size=3)[0] == 0
+    assert values_after_reseats(first_h - 20.0, rate_per_h, seed=1, position="B", size=3)[0] == 0
+    assert values_after_reseats(hours, 0.0, seed=1, position="B", size=3)[0] == 0
 
 
 def test_as_many_hours_are_noisy_as_is_stated_and_everywhere_the_same():
-    found = [noisy(1, hour, 0.1) for hour in range(2_000)]
+    found = [is_noisy_hour(1, hour, 0.1) for hour in range(2_000)]
     low, high = stats.binom.interval(1.0 - 1e-4, len(found), 0.1)
     assert low <= sum(found) <= high
-    assert found != [noisy(2, hour, 0.1) for hour in range(2_000)]
+    assert found != [is_noisy_hour(2, hour, 0.1) for hour in range(2_000)]
 
 
 def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
@@ -115,9 +118,11 @@ def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
         weights = memory_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
-                remembering(weights, 5.0, seed=3, position="C", set_index=set_index),
-                wandering(0.5 * set_index, wander(Purpose.SEATING_WANDER, 3, "C", 5, 48.0, 1_000.0)),
-                place_after_reseats(10.0 * set_index, 0.01, seed=3, position="C", size=5)[1],
+                autocorrelated_values(weights, 5.0, seed=3, position="C", set_index=set_index),
+                slow_drift(
+                    0.5 * set_index, draw_slow_drift(Purpose.SEATING_WANDER, 3, "C", 5, 48.0, 1_000.0)
+                ),
+                values_after_reseats(10.0 * set_index, 0.01, seed=3, position="C", size=5)[1],
             ]
         )
 

@@ -32,7 +32,7 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.settings.file import config_file
 from daq_service.settings.instruments import instruments_of
 from daq_service.settings.tree import Settings
-from hardware_drivers.daqmx.look import digital_name, findings
+from hardware_drivers.daqmx.look import board_findings, digital_name
 from hardware_drivers.daqmx.survey import BoardFacts
 from hardware_drivers.kinds import Finding
 
@@ -466,9 +466,9 @@ def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """A survey made up: `hardware_drivers.daqmx.survey.survey` on doubles is tested elsewhere."""
+    """A survey made up: `hardware_drivers.daqmx.survey.survey_rig` on doubles is tested elsewhere."""
 
-    findings: tuple[Finding, ...] = ()
+    board_findings: tuple[Finding, ...] = ()
     driver_version: str = "24.8.0"
     boards: tuple[BoardFacts, ...] = ()
     noise_rms_v: dict[str, float] = field(default_factory=dict)
@@ -476,7 +476,7 @@ class Found:
 
 def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     assert LABORATORY.daqmx is not None
-    seen = findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
+    seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
     return by_name([told(finding) for finding in seen])
 
 

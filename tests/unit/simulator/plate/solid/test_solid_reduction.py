@@ -9,7 +9,7 @@ from simulator.errors import SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate import models as plate_models
-from simulator.plate.models import KeptSolid, modal_plate
+from simulator.plate.models import CachedSolid, modal_plate
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
 from simulator.plate.solid.plate import build_solid_plate
@@ -106,19 +106,19 @@ def test_passive_modes_give_up_the_fastest_until_nothing_is_negative():
 
 def test_kept_modes_are_those_computed_to_the_last_bit(tmp_path, monkeypatch):
     patch = replace(PATCH, depth_fraction=0.4)
-    bare = KeptSolid(COARSE, patch, None).modes(0.4)
-    first = KeptSolid(COARSE, patch, tmp_path).modes(0.4)
+    bare = CachedSolid(COARSE, patch, None).modes(0.4)
+    first = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
     monkeypatch.setattr(plate_models, "solid_modes", None)  # from here on, only what is kept
-    second = KeptSolid(COARSE, patch, tmp_path).modes(0.4)
+    second = CachedSolid(COARSE, patch, tmp_path).modes(0.4)
     for modes in (first, second):
         assert modes.omega_rad_per_s.tobytes() == bare.omega_rad_per_s.tobytes()
         assert modes.participation.tobytes() == bare.participation.tobytes()
         assert modes.residual_compliance_m_per_n == bare.residual_compliance_m_per_n
     with pytest.raises(TypeError):
-        KeptSolid(COARSE, patch, tmp_path).modes(0.41)
+        CachedSolid(COARSE, patch, tmp_path).modes(0.41)
     other = replace(COARSE, solid=replace(COARSE.solid, growth=1.5))
     with pytest.raises(TypeError):
-        KeptSolid(other, patch, tmp_path).modes(0.4)
+        CachedSolid(other, patch, tmp_path).modes(0.4)
 
 
 def test_the_solid_is_refused_before_the_first_shot_where_it_does_not_apply():
@@ -160,7 +160,7 @@ def test_time_of_flight_grows_with_depth(shots):
 def test_quarter_and_eighth_give_one_waveform():
     """An oblong plate has no diagonal; hardly oblong, it is the square one."""
     oblong = replace(COARSE, height_m=0.6096 * (1.0 + 1e-9))
-    modes = [KeptSolid(plate, PATCH, None).modes(0.5) for plate in (COARSE, oblong)]
+    modes = [CachedSolid(plate, PATCH, None).modes(0.5) for plate in (COARSE, oblong)]
     for sigma in (1e4, 6e4):
         square, quarter = (
             np.sum(m.participation**2 / (m.omega_rad_per_s**2 + sigma**2)) + m.residual_compliance_m_per_n
@@ -176,7 +176,7 @@ def one_basis():
 
 def test_one_basis_holds_every_depth(one_basis, tmp_path, monkeypatch):
     """Against a plate of each depth alone; in one basis the layers of other depths help to resolve it."""
-    plate = KeptSolid(one_basis, PATCH, tmp_path)
+    plate = CachedSolid(one_basis, PATCH, tmp_path)
     for depth in (0.0, 2e-3, 0.52):
         alone = solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
         found = plate.modes(depth)
@@ -189,6 +189,6 @@ def test_one_basis_holds_every_depth(one_basis, tmp_path, monkeypatch):
             assert abs(one - other) < 5e-3 * abs(other)
     first = plate.modes(0.52)
     monkeypatch.setattr(plate_models, "solid_family", None)  # from here on, only what is kept
-    again = KeptSolid(one_basis, PATCH, tmp_path).modes(0.52)
+    again = CachedSolid(one_basis, PATCH, tmp_path).modes(0.52)
     assert again.omega_rad_per_s.tobytes() == first.omega_rad_per_s.tobytes()
     assert again.participation.tobytes() == first.participation.tobytes()
