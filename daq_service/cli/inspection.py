@@ -1,4 +1,4 @@
-"""``check-config``: what a test will do."""
+"""``check-config``: describe a planned test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
-    """Carry out ``check-config``."""
+    """Run ``check-config``."""
     if schema:
         click.echo(json.dumps(schema_with_kinds(), indent=1))
         return
@@ -57,7 +57,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 
 
 def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
-    """Tell how many sets are planned for each transducer's baseline, and where that is too few."""
+    """Print the number of planned baseline sets, and a warning if there are too few."""
     if not settings.names_of(SOLITARY_WAVE):
         return
     n_sets, least = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
@@ -72,7 +72,7 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 
 def _print_receivers(settings: Settings) -> None:
-    """Say who is told of alarms, and what is missing here; the service may run as another user."""
+    """Print the receivers of alarms, and missing addresses; the service may run as another user."""
     from daq_service.processes.notifications.addresses import address_of, shown_address
 
     for name, receiver in settings.notifications.receivers.items():
@@ -84,7 +84,7 @@ def _print_receivers(settings: Settings) -> None:
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Numbers of a planned test."""
+    """Return the numbers of a planned test."""
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))

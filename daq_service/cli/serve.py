@@ -1,4 +1,4 @@
-"""``serve``: the web service of one test, or of several."""
+"""``serve``: run the web service of one or more tests."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def serve_tests(
     restart_reason: str,
     supervised: bool,
 ) -> int:
-    """Serve until somebody says stop."""
+    """Serve until a person stops it."""
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)
     if web is not None:

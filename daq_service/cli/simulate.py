@@ -59,7 +59,7 @@ def print_simulation(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Carry out the command."""
+    """Run the command."""
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
@@ -97,7 +97,7 @@ def print_simulation(
 
 
 def _option(name: str) -> str:
-    """Name of a sweep's option as the command line has it."""
+    """Return the name of a sweep's option on the command line."""
     return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
 
@@ -153,7 +153,7 @@ def _grid(text: str) -> list[float]:
 def _shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> dict[str, Any]:
-    """One row: chain and plate integrated together, or Zener's impact of the last sphere."""
+    """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
         return {**zener_numbers(chain, plate, patch), **given}

@@ -1,4 +1,4 @@
-"""What a finished test says, per position: read from the catalogue, never from memory."""
+"""Summarize a finished test per position from the catalogue."""
 
 from __future__ import annotations
 
@@ -46,21 +46,21 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
 
 
 def _cost(catalogue: Catalogue) -> dict[str, float] | None:
-    """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
-    told = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
-    return told[-1].payload["cost"] if told else None
+    """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
+    rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
+    return rows[-1].payload["cost"] if rows else None
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
     assessments = catalogue.rows(AssessmentRow, position=position)
-    judged = [row for row in assessments if not row.in_baseline and row.outlier is not None]
-    after = [row for row in judged if row.due_h > SPLIT_H]
+    assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
+    after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
     limit = None if baseline is None else limits_by_name(baseline).get(settings.novelty.limit)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": _fraction(row.outlier for row in judged if row.due_h <= SPLIT_H),
+        "outlier_fraction_before_100_h": _fraction(row.outlier for row in assessed if row.due_h <= SPLIT_H),
         "outlier_fraction_after_100_h": _fraction(row.outlier for row in after),
         "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_paper for row in after),
         "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
@@ -117,12 +117,12 @@ def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
 
 
 def _fraction(outliers: Iterable[bool | None]) -> float | None:
-    judged = [outlier for outlier in outliers if outlier is not None]
-    return sum(judged) / len(judged) if judged else None
+    known = [outlier for outlier in outliers if outlier is not None]
+    return sum(known) / len(known) if known else None
 
 
 def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
-    """Tell the summary to people: the lines of a table."""
+    """Yield the lines of the summary's table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
         f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"

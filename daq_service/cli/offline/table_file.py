@@ -1,4 +1,4 @@
-"""A table of features from a file: a row a set in the order of time, a column a feature."""
+"""Read a table of features from a file: a row per set in the order of time, a column per feature."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ MOST_ROWS = 5_000_000
 SEPARATORS = ";\t,"
 """Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
 MISSING = re.compile(r"|n/?a|nan|nil|null|none|-|[+-]?ol|ovld|overload", re.IGNORECASE)
-"""What stands in a cell without a value; the last ones are an instrument's overload."""
+"""Texts of a cell without a value; the last ones are an instrument's overload."""
 OVERLOAD, NO_READINGS = 1e38, (-999.0, -9999.0, -99999.0)
-"""Numbers that stand for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
+"""Numbers for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
 MOST_CELLS = 100_000_000
 """Of a table whose size stands in its header: 800 MB of numbers."""
 NAMES_SHOWN = 12
@@ -48,7 +48,7 @@ TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableFile:
-    """What a file holds.
+    """Contents of a file.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ def read_table(
 
 
 def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
-    """Say why a column is no feature; empty: it is one, or it has neither name nor value."""
+    """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
     if ROWS_BY_NAME.fullmatch(re.split(r"[\[(]", name)[0].strip().lower().rstrip(".:")):
@@ -148,7 +148,7 @@ def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
 
 
 def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
-    """Refuse a column of numbers with something else in a cell, or with two decimal marks."""
+    """Raise an error for a column of numbers with other text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
@@ -167,7 +167,7 @@ def _is_nearly(cell: Any, decimal: str, *, mixed: bool) -> bool:
 
 
 def _columns(path: Path) -> tuple[dict[str, Any], str]:
-    """Every column by its name, as the file has it, and what may be a decimal point in its texts."""
+    """Return every column by its name, and the decimal mark of its texts."""
     reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
@@ -217,7 +217,7 @@ def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _trim(header: list[str], body: list[list[str]]) -> None:
-    """Take away what separators at the ends of lines, and lines of separators at the end, add."""
+    """Remove empty cells at the ends of lines, and empty lines at the end."""
     while body and not any(map(str.strip, body[-1])):
         body.pop()
     width = max((k for row in (header, *body) for k, cell in enumerate(row, 1) if cell.strip()), default=0)
@@ -226,7 +226,7 @@ def _trim(header: list[str], body: list[list[str]]) -> None:
 
 
 def _without_units(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
-    """Leave out a row of units below the names; one of names, below merged cells, is refused."""
+    """Remove a row of units below the names; raise an error for a second row of names."""
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
         return body
@@ -240,7 +240,7 @@ def _without_units(path: Path, header: list[str], body: list[list[str]], decimal
 
 
 def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
-    """Give names of columns and the rows that are none: the first line names them, or the last comment."""
+    """Return names of columns and the data rows: names from the first line, or the last comment."""
     header = [cell.strip() for cell in rows[0]]
     numbered = [str(k) for k in range(len(header))]
     numbers = [_is_number(cell, decimal) for cell in header]
@@ -296,13 +296,13 @@ def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
-    """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
+    """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _without_overload(column.astype(np.float64))
-    told = [None if _is_missing(cell) else cell for cell in column]
-    values = [_number(cell, decimal) for cell in told]
-    strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
-    if 2 * strange > len(told) - told.count(None):
+    cells = [None if _is_missing(cell) else cell for cell in column]
+    values = [_number(cell, decimal) for cell in cells]
+    n_not_numbers = sum(value is None and cell is not None for value, cell in zip(values, cells, strict=True))
+    if 2 * n_not_numbers > len(cells) - cells.count(None):
         return None
     return _without_overload(np.array([np.nan if value is None else value for value in values]))
 
@@ -334,7 +334,7 @@ def _no_number(column: Sequence[Any], decimal: str) -> Any:
 
 
 def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
-    """Rows whose cell is a value, as text or as a number."""
+    """Return the rows whose cell equals a value, as text or as a number."""
     wanted = _numbers([value], decimal)
     numbers = _numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
@@ -343,5 +343,5 @@ def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
 
 
 def _listed(names: Any) -> str:
-    told = list(map(str, names))
-    return ", ".join(told[:NAMES_SHOWN]) + (f" ... ({len(told)})" if len(told) > NAMES_SHOWN else "")
+    texts = list(map(str, names))
+    return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

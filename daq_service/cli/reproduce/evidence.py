@@ -1,4 +1,4 @@
-"""What a test says, read from its data folder through the catalogue and the archive.
+"""Read the results of a test from its data folder through the catalogue and the archive.
 
 Read only: a test that is still running may be read too. Names of positions, methods, limits and waveforms
 are the folder's own; what it does not have stays empty, and the figures say so.
@@ -28,7 +28,7 @@ PULSES = (
     "isw_amplitude_v", "psw_amplitude_v", "isw_time_s", "psw_time_s", "ssw_time_s", "isw_fwhm_s",
 )  # fmt: skip
 """Columns of the catalogue that are drawn or compared."""
-JUDGED = ("distance_squared", "limit_f", "limit_paper")
+ASSESSED = ("distance_squared", "limit_f", "limit_paper")
 
 TRACES = 25
 """Sets whose waveforms are drawn: enough for a trend, few enough to see single pulses."""
@@ -64,9 +64,9 @@ class SolitaryWaves(Series):
     ----------
     values
         By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
-        `JUDGED`.
+        `ASSESSED`.
     in_baseline, outlier, outlier_paper
-        float64, shape (n,): 1 yes, 0 no, NaN where a set was not judged.
+        float64, shape (n,): 1 yes, 0 no, NaN where a set was not assessed.
     baseline
         Row of the catalogue, None before it is frozen.
     """
@@ -125,7 +125,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """A test as far as it has come.
+    """Results of a test so far.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
 
 
 def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[str, dict[str, Any]]:
-    """Positions of the configuration that have sets, each with the method that took them."""
+    """Return the positions with sets, each with its method."""
     methods = {row.position: row.method for row in sets}
     configured = configuration.get("positions", {})
     names = [name for name in configured if name in methods]
@@ -227,7 +227,7 @@ def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[st
 def _common(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
-    """Fields of a `Series`."""
+    """Return the fields of a `Series`."""
     alarms_h = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return {
         "position": position,
@@ -246,20 +246,21 @@ def _array(values: Sequence[float | bool | None]) -> FloatArray:
 def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
     assessments = catalogue.columns(
-        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED], position=position
+        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *ASSESSED], position=position
     )
     row_of = {index: row for row, index in enumerate(assessments["set_index"])}
     rows = [row_of.get(index) for index in columns["set_index"]]
 
-    def judged(name: str) -> FloatArray:
+    def assessed_values(name: str) -> FloatArray:
         return _array([None if row is None else assessments[name][row] for row in rows])
 
     return SolitaryWaves(
         **_common(catalogue, position, place, columns),
-        values={name: _array(columns[name]) for name in PULSES} | {name: judged(name) for name in JUDGED},
-        in_baseline=judged("in_baseline"),
-        outlier=judged("outlier"),
-        outlier_paper=judged("outlier_paper"),
+        values={name: _array(columns[name]) for name in PULSES}
+        | {name: assessed_values(name) for name in ASSESSED},
+        in_baseline=assessed_values("in_baseline"),
+        outlier=assessed_values("outlier"),
+        outlier_paper=assessed_values("outlier_paper"),
         baseline=catalogue.baseline(position),
     )
 
@@ -305,6 +306,7 @@ def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[
 
 
 def _average(record: SetRecord, position: str) -> Trace | None:
+    """Average the accepted records of a position."""
     accepted = [
         shot
         for shot in record.records

@@ -20,7 +20,7 @@ ITEMS = (
 
 
 def chosen_items(only: str | None) -> tuple[Item, ...]:
-    """Items by their names, separated by commas; None means all.
+    """Return the items with these names, separated by commas; None means all.
 
     Raises
     ------

@@ -18,7 +18,7 @@ STRONG_GAMMA_N_S_PER_M = 1000.0
 """Dashpot between chain and plate of the paper's "modified" model."""
 DEPTHS = tuple(k / 20 for k in range(17))
 SOLID_DEPTHS = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Fewer: a depth of the solid plate is assembled and reduced anew."""
+"""Fewer depths: the solid plate is assembled and reduced for each."""
 CASE_3 = 0.258
 """Lambda of the paper's Table 2, case 3."""
 
@@ -28,7 +28,7 @@ _GRID = tuple(float(x) for x in np.linspace(0.0, 2.0, 41))
 
 
 def draw_fig10(material: item.Material) -> item.Product:
-    """Restitution and contact time over lambda."""
+    """Draw restitution and contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
     figure, axes = style.sheet(1, 2, height_in=3.0)
@@ -77,7 +77,7 @@ _ISW_CURVES = (
 
 
 def draw_fig12(material: item.Material) -> item.Product:
-    """ToF and AR over the amplitude of the incident wave."""
+    """Draw ToF and AR over the amplitude of the incident wave."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     for name, *_ in _ISW_CURVES:
         curves[name] = [
@@ -87,9 +87,9 @@ def draw_fig12(material: item.Material) -> item.Product:
             for ratio, shot in material.result(name)
         ]
     figure, axes = style.sheet(1, 2, height_in=4.1)
-    for name, told, colour, dash in _ISW_CURVES:
+    for name, label, colour, dash in _ISW_CURVES:
         ratio, tof_us, ar = (list(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=told)
+        axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=label)
         axes[1].plot(ratio, ar, color=colour, ls=dash)
     for axis, quantities in ((axes[0], ("tof", "tof_zener")), (axes[1], ("ar", "ar_zener", "ar_measured"))):
         for quantity in quantities:
@@ -115,7 +115,7 @@ def draw_fig12(material: item.Material) -> item.Product:
 
 
 def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
-    """Name one of the paper's values, on the side of it that is free of curves."""
+    """Label one of the paper's values on the side without curves."""
     axis.annotate(
         text,
         (1.0, value),
@@ -173,7 +173,7 @@ _DEPTH_CURVES = (
     ("solid_sphere", "solid, sensor a sphere", style.ORANGE, "--", SOLID_DEPTHS),
     ("solid_disk", "solid, sensor two disks", style.VERMILLION, "--", SOLID_DEPTHS),
 )
-_TOLD = {name: told for name, told, *_ in _DEPTH_CURVES}
+_LABELS = {name: label for name, label, *_ in _DEPTH_CURVES}
 
 
 def _depth_jobs() -> dict[str, item.Job]:
@@ -191,7 +191,7 @@ def _depth_jobs() -> dict[str, item.Job]:
 
 
 def draw_fig13(material: item.Material) -> item.Product:
-    """ToF and AR over the relative depth of the patch."""
+    """Draw ToF and AR over the relative depth of the patch."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     absent: dict[str, str] = {}
     for name, *_ in _DEPTH_CURVES:
@@ -204,18 +204,18 @@ def draw_fig13(material: item.Material) -> item.Product:
         else:
             curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in shots]
     figure, axes = style.sheet(1, 2, height_in=4.3)
-    for name, told, colour, dash, _ in _DEPTH_CURVES:
+    for name, curve_label, colour, dash, _ in _DEPTH_CURVES:
         if name not in curves:
             continue
         depth, tof_us, ar = (np.array(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(100 * depth, tof_us, color=colour, ls=dash, label=told)
+        axes[0].plot(100 * depth, tof_us, color=colour, ls=dash, label=curve_label)
         axes[1].plot(100 * depth, ar, color=colour, ls=dash)
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
             ends = [printed("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
-            look = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
+            mark_style = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
             label = f"paper, {program} (ends only)" if axis is axes[0] else None
-            axis.plot([0, 80], ends, **look, label=label)
+            axis.plot([0, 80], ends, **mark_style, label=label)
     for axis in axes:
         axis.set(xlabel="depth of the patch (% of the thickness)")
     axes[0].set_ylabel("time of flight (µs)")
@@ -228,7 +228,7 @@ def draw_fig13(material: item.Material) -> item.Product:
         found=_depth_found(curves, absent),
         notes=(
             *(_turning(name, points) for name, points in curves.items()),
-            *(f"{_TOLD[name].capitalize()}: not available, {why}." for name, why in absent.items()),
+            *(f"{_LABELS[name].capitalize()}: not available, {why}." for name, why in absent.items()),
         ),
     )
 
@@ -252,10 +252,10 @@ def _depth_found(
 
 
 def _turning(name: str, points: Sequence[tuple[float, float, float]]) -> str:
-    """Where the amplitude ratio is least; between two computed depths it may be a little lower."""
+    """Describe where the amplitude ratio is minimal, among the computed depths."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
-        f"{_TOLD[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
+        f"{_LABELS[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
         f"{points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."
     )
 

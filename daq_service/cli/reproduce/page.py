@@ -1,4 +1,4 @@
-"""The report: one HTML page that opens from disk, pictures inside."""
+"""Write the report as one HTML page with embedded figures."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """Everything the page says."""
+    """Contents of the page."""
 
     title: str
     facts: Mapping[str, str]
@@ -63,7 +63,7 @@ class Report:
 
 
 def report_page(report: Report) -> bytes:
-    """HTML of the report."""
+    """Return the HTML of the report."""
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",

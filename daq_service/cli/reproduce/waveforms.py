@@ -1,4 +1,4 @@
-"""Figure 7: the recorded solitary waves of each transducer over the test."""
+"""Draw figure 7: the recorded solitary waves of each transducer over the test."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOM = 1.8
 
 
 def draw_fig7(material: item.Material) -> item.Product:
-    """Averaged records, later ones higher up, with the marks that the features come from."""
+    """Draw averaged waveforms, later ones higher, with the marks of the features."""
     test = material.test
     names = [name for name in test.pulses if test.traces.get(name)]
     if not names:
@@ -61,7 +61,7 @@ def _waterfall(
         quiet_v = float(np.median(trace.volts[: max(1, int(np.searchsorted(time_us, -20.0)))]))
         lifted_h = trace.hour_h + ROOM * spacing_h * (trace.volts - quiet_v) / height_v
         axis.plot(time_us[shown], lifted_h[shown], color=colour, lw=0.7)
-    for column, mark, told in (
+    for column, mark, name in (
         ("isw_time_s", BLACK, "ISW"),
         ("psw_time_s", PURPLE, "PSW"),
         ("ssw_time_s", ORANGE, "SSW"),
@@ -75,7 +75,7 @@ def _waterfall(
             markersize=5,
             markeredgewidth=1.2,
             color=mark,
-            label=f"time of the {told}",
+            label=f"time of the {name}",
         )
 
 
@@ -84,7 +84,7 @@ def _every(trace: Trace) -> int:
 
 
 def _table(traces: Sequence[Trace]) -> item.Table:
-    """All traces of a position on the first one's times; another record length is padded with nothing."""
+    """Return all traces of a position at the times of the first one; shorter ones are padded."""
     first = traces[0].time_s
     every = _every(traces[0])
     columns: dict[str, list[Any]] = {"time_s": [round(float(t), 9) for t in first[::every]]}
@@ -96,7 +96,7 @@ def _table(traces: Sequence[Trace]) -> item.Table:
 
 
 def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
-    """Time from the striker's touch: the record's own zero is the trigger, which the paper does not state."""
+    """Return the time from the striker's contact; a record's zero is the trigger instead."""
     times = [
         trace.truth["isw_time_s"]
         for name in names
@@ -120,8 +120,8 @@ def _change(test: Evidence, position: str) -> item.Found:
         return item.missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.configuration.get("alarms", {})
     by_chart = rule.get("decides_by") == "chart"
-    told = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
-    return item.found(hour, f"first alarm ({told})")
+    rule_text = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
+    return item.found(hour, f"first alarm ({rule_text})")
 
 
 FIG7 = item.Item(

@@ -1,4 +1,4 @@
-"""``solimon init``: write a commented configuration, and its schema beside it for the editor."""
+"""``solimon init``: write a commented configuration and its JSON Schema for the editor."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_configuration(
     switch_off: Sequence[str],
     as_json: bool,
 ) -> None:
-    """Carry out ``init``."""
+    """Run ``init``."""
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = laboratory() if kind == "rig" else (_twin() if source is None else _playback(source), set())
@@ -96,7 +96,7 @@ def write_configuration(
 
 
 def schema_text() -> str:
-    """Return what ``config/settings.schema.json`` holds."""
+    """Return the contents of ``config/settings.schema.json``."""
     return json.dumps(settings_schema(), indent=1) + "\n"
 
 
@@ -104,7 +104,7 @@ def schema_text() -> str:
 
 
 def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
-    """Read the shipped laboratory.toml, which `init rig` gives again; and what it has switched off."""
+    """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
     text = config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
     tables = {key[:depth] for key in flattened(values) for depth in range(1, len(key))}
@@ -116,7 +116,7 @@ def _twin() -> dict[str, Any]:
 
 
 def _playback(source: Path) -> dict[str, Any]:
-    """Of a test of solimon the configuration that it was recorded with; of other files the paper's."""
+    """Return the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
@@ -143,7 +143,7 @@ def _playback(source: Path) -> dict[str, Any]:
 
 
 def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
-    """Lay ``KEY=VALUE`` over the values; a ``*`` in a key stands for any part of it."""
+    """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
     keys = {".".join(path): path for path in flattened(values)}
     filled = flattened(values)
     for assignment in assignments:
@@ -189,17 +189,17 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
-    """Say in a file of `solimon setup` what it was made for, and from what."""
-    told = (
+    """Return the head of a file of `solimon setup`: instruments and strikes."""
+    sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=told)
+    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
 def refuse_what_is_there(file: Path) -> Path:
-    """Refuse to write over anything; the schema's path."""
+    """Raise an error if a file would be overwritten; return the schema's path."""
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")
     schema = file.absolute().parent / SCHEMA
@@ -214,12 +214,12 @@ def refuse_what_is_there(file: Path) -> Path:
 
 
 def settings_of(values: Mapping[str, Any], off: Collection[KeyPath], file: Path) -> Settings:
-    """Return the settings that the file will hold; UsageError as of a file that is read."""
+    """Return the settings of the new file; UsageError as for a file that is read."""
     return checked_settings(_without(values, off), file.absolute())
 
 
 def write_file(file: Path, values: Mapping[str, Any], *, head: str, off: Collection[KeyPath]) -> None:
-    """Write a commented configuration, and its schema beside it."""
+    """Write a commented configuration and its schema."""
     _write(refuse_what_is_there(file), schema_text())
     _write(file, commented_toml(values, head=head, switched_off=off))
 

@@ -41,7 +41,7 @@ def write_services(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Carry out the command: write the files, say what installs them."""
+    """Run the command: write the files, print how to install them."""
     settings, folder = settings_and_folder(config, data_dir)
     user = user or os.environ.get("SUDO_USER") or _this_user()
     describe = systemd_units if manager == "systemd" else windows_tasks
@@ -83,7 +83,7 @@ def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
 def systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
-    """Return the units of a recorder, a web service and, where there is a supply, its drive, by file name."""
+    """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
     longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
     drive, supply = f"{name}-drive.service", settings.rig.driven
     units: dict[str, tuple[str, Lines, Lines]] = {
@@ -190,7 +190,7 @@ def _plain(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Quote a word of a command line as systemd reads it."""
+    """Quote a word of a command line for systemd."""
     if text.replace("/", "").replace("-", "").replace(".", "").replace("_", "").isalnum():
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")
@@ -240,7 +240,7 @@ priority, which is not the scheduler's default; for as long as it takes."""
 def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
-    """Return the tasks of the supervisor and, where there is a supply, its drive, by file name."""
+    """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
     words = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
     return {
         f"{task}.xml": TASK.format(

@@ -1,4 +1,4 @@
-"""Compute the rows of a plan in an executor, a few at a time, and keep each as soon as it is there."""
+"""Compute the rows of a plan in an executor and store each as soon as it is complete."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcom
 
 
 def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
-    """Group rows by plate, then by chain; the first task of each plate comes first.
+    """Return the group rows by plate, then by chain; the first task of each plate comes first.
 
     So every plate is reduced once, by whoever gets its first task, and read from the cache after that.
     """

@@ -1,4 +1,4 @@
-"""Finished rows of a sweep that is still running: lines appended to a file beside the result.
+"""Store the finished rows of a running sweep as lines of a work file.
 
 A line is the SHA-256 of its JSON, a blank and that JSON. The first line names the sweep. Whatever a
 crash has left of the last line is cut off; a line whose checksum fails is computed again.
@@ -32,7 +32,7 @@ FORMAT = 1
 
 
 def work_path(output: Path) -> Path:
-    """Name of the work file of a sweep with this (first) output."""
+    """Return the path of the work file for the (first) output of a sweep."""
     return output.with_name(output.name + WORK_SUFFIX)
 
 
@@ -76,7 +76,7 @@ class WorkFile:
 
 @contextlib.contextmanager
 def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
-    """Open or begin the work file of a plan and own it.
+    """Open or create the work file of a plan and lock it.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
 
 
 def belongs_to(path: Path, plan: Plan) -> bool:
-    """Tell whether this is the work file of the plan, unfinished."""
+    """Return whether a file is the unfinished work file of the plan."""
     try:
         with path.open("rb") as file:
             header = _content_of(file.readline().rstrip(b"\n"))
@@ -177,7 +177,7 @@ def _outcome_of(plan: Plan, content: dict[str, Any]) -> Outcome | None:
 
 
 def _write_all(file: IO[bytes], content: bytes) -> None:
-    """Write to a file without buffer: what this returns from is with the operating system."""
+    """Write all bytes to an unbuffered file."""
     rest = memoryview(content)
     while rest:
         rest = rest[file.write(rest) :]
@@ -189,7 +189,7 @@ def _line(content: dict[str, Any]) -> bytes:
 
 
 def _content_of(line: bytes) -> dict[str, Any] | None:
-    """JSON of a line; None if its checksum is not its own."""
+    """Return the JSON of a line; None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         return None

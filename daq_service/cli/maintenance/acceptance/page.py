@@ -1,4 +1,4 @@
-"""The certificate as one HTML page: opens from disk, prints on paper, refers to nothing outside."""
+"""Write the acceptance report as one self-contained, printable HTML page."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
 def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
-    """HTML of a certificate.
+    """Return the HTML of the report.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
         "<section id='criteria'><h2>Criteria</h2>",
         _table(
             ("", "criterion", "limit", "value", "because"),
-            (_judged(item) for item in made.comparisons),
+            (_criterion_row(item) for item in made.comparisons),
             numbers=(2, 3),
         ),
         "</section><section id='identity'><h2>What was tested</h2>",
@@ -89,7 +89,7 @@ def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
 
 
 def shown(unit: str, *values: float | int | None) -> str:
-    """Write numbers with their unit for a person: the first one, then the interval of the others.
+    """Format numbers with their unit: the first one, then the interval of the others.
 
     Four figures; bytes in the largest unit that fits the first.
     """
@@ -110,19 +110,20 @@ def shown(unit: str, *values: float | int | None) -> str:
 
 
 def interval(item: Quantity) -> str:
-    """Write a quantity, with its interval where it has one."""
+    """Format a quantity with its interval, if it has one."""
     return shown(item.unit, item.value, item.low, item.high)
 
 
 def asked(item: Comparison) -> str:
-    """Write a criterion's limit; empty: nobody asks."""
+    """Format a criterion's limit; empty if not required."""
     criterion = item.criterion
     return (
         "" if criterion.limit is None else f"{criterion.sense} {shown(item.quantity.unit, criterion.limit)}"
     )
 
 
-def _judged(item: Comparison) -> tuple[str, ...]:
+def _criterion_row(item: Comparison) -> tuple[str, ...]:
+    """Return the table row of a criterion."""
     state = f"<span class='{escape(item.state)}'>{_MARKS[item.state]} {escape(item.state)}</span>"
     return (
         state,
@@ -134,6 +135,7 @@ def _judged(item: Comparison) -> tuple[str, ...]:
 
 
 def _section(name: str, its: Iterable[Quantity]) -> str:
+    """Return the HTML of a section of quantities."""
     rows = (
         (
             _cell(item.text),
@@ -147,6 +149,7 @@ def _section(name: str, its: Iterable[Quantity]) -> str:
 
 
 def _happened(table: Table) -> str:
+    """Return the HTML of a table of events."""
     head = f"<h3>{escape(table.title)}</h3>"
     if not table.rows:
         return f"{head}<p class='note'>{escape(table.empty)}</p>"
@@ -157,6 +160,7 @@ def _happened(table: Table) -> str:
 
 
 def _figure(item: Series, png: bytes | None) -> str:
+    """Return the HTML of a figure."""
     caption = f"<b>{escape(item.title)}</b><span class='note'>{escape(item.how)}</span>"
     if png is None:
         return f"<figure><figcaption>{caption}{escape(item.missing)}</figcaption></figure>"
@@ -168,18 +172,20 @@ def _figure(item: Series, png: bytes | None) -> str:
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[str]], numbers: Iterable[int] = ()) -> str:
+    """Return the HTML of a table."""
     aligned = set(numbers)
 
-    def marked(place: int) -> str:
-        return " class='number'" if place in aligned else ""
+    def number_class(column: int) -> str:
+        return " class='number'" if column in aligned else ""
 
-    columns = "".join(f"<th{marked(n)}>{escape(name)}</th>" for n, name in enumerate(head))
+    columns = "".join(f"<th{number_class(n)}>{escape(name)}</th>" for n, name in enumerate(head))
     body = "".join(
-        "<tr>" + "".join(f"<td{marked(n)}>{cell}</td>" for n, cell in enumerate(row)) + "</tr>"
+        "<tr>" + "".join(f"<td{number_class(n)}>{cell}</td>" for n, cell in enumerate(row)) + "</tr>"
         for row in rows
     )
     return f"<table>{f'<thead><tr>{columns}</tr></thead>' if columns else ''}<tbody>{body}</tbody></table>"
 
 
 def _cell(value: Any) -> str:
+    """Return the HTML of a value."""
     return escape(f"{value:.4g}" if isinstance(value, float) else str(value))

@@ -1,4 +1,4 @@
-"""A number of a certificate: its unit, how it was found, or why there is none; and the statistics behind."""
+"""Quantities of an acceptance report: value, unit, method or reason of absence; and their statistics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WARM_UP, WARM_UP_SETS = 0.2, 10
 """First part of a recorder's sets, and so many at least: it imports, compiles, fills its caches, freezes
 baselines."""
 FEWEST_READINGS = 30
-"""A slope of fewer says nothing."""
+"""Minimum number of readings for a slope."""
 MOST_BLOCKS = 300
 """Readings of a long test are put together, neighbours to their median: all pairs of them are looked at."""
 CONFIDENCE = 0.95
@@ -56,7 +56,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Things that happened, a row each; units stand in the names of the columns."""
+    """Table of events; the names of columns contain the units."""
 
     name: str
     title: str
@@ -98,13 +98,13 @@ class Series:
 
 
 def quantile(values: Sequence[float], part: float) -> float:
-    """Smallest of the values that at least this part of them does not exceed."""
+    """Return the smallest value that at least this fraction of the values does not exceed."""
     return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """Slope a 1,000 sets with the ends of its interval, and of how many readings."""
+    """Slope per 1,000 sets with its interval, and the number of readings."""
 
     slope: float
     low: float
@@ -113,7 +113,7 @@ class Growth:
 
 
 def growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
-    """Median of the slopes of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
+    """Compute the median slope of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
 
     A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow
     where memory moves in waves; medians of neighbours in a long one are less so.

@@ -1,4 +1,4 @@
-"""An explained alarm as one page of HTML, for whoever has to decide: reads alone, offline, no script."""
+"""Write an explained alarm as one self-contained HTML page without scripts."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from daq_service.clock import format_utc
 from daq_service.web.report.page import STYLE, plain, table
 
 STATE = "averages"
-"""What chart and cause remember from set to set: in the JSON, no reader needs it."""
+"""Internal state of chart and diagnosis: only in the JSON."""
 
 
 def title_of(found: Explained) -> str:
-    """Name the alarm in a line."""
+    """Return the title of the alarm."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
 
 def comes_out_again(found: Explained) -> str:
-    """Say in a sentence or two what the recomputation shows."""
+    """Describe the result of the recomputation."""
     again = found.again
     if again is None:
         return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
@@ -47,12 +47,12 @@ def comes_out_again(found: Explained) -> str:
 
 
 def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
-    """Return the HTML."""
+    """Return the HTML page."""
     alarm, title = found.alarm, title_of(found)
     sections = {
-        "What was found": _found(found),
+        "What was found": _finding_section(found),
         "The picture": [_figure(picture) for picture in pictures],
-        "Does it come out again?": _again(found),
+        "Does it come out again?": _recomputation_section(found),
         "What to do first": _guidance(alarm.kind),
         "Its history": [_history(found)],
         "Proof, as stored": [table("", (), _rows(alarm.proof))],
@@ -75,7 +75,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 
 def facts_of(found: Explained) -> dict[str, Any]:
-    """Return everything that the page says, and the rows behind it, as plain values."""
+    """Return all contents of the page, and the rows behind it, as plain values."""
     again, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
@@ -94,6 +94,7 @@ def facts_of(found: Explained) -> dict[str, Any]:
 
 
 def _facts_of(again: Recomputed) -> dict[str, Any]:
+    """Return the recomputed values."""
     pulses = again.pulses
     return {
         "n_sets": again.n_sets,
@@ -109,11 +110,12 @@ def _facts_of(again: Recomputed) -> dict[str, Any]:
 
 
 def _sentences(found: Explained) -> list[str]:
+    """Return the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
     return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
-def _found(found: Explained) -> list[str]:
+def _finding_section(found: Explained) -> list[str]:
     message = found.alarm.message
     return [
         f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
@@ -122,14 +124,15 @@ def _found(found: Explained) -> list[str]:
 
 
 def _figure(picture: Picture) -> str:
-    label = escape(picture.told, quote=True)
+    """Return the HTML of a figure."""
+    label = escape(picture.description, quote=True)
     return (
         f"<figure role='img' aria-label='{label}'>{picture.svg}</figure>"
-        f"<p class='note'>{escape(picture.told)}</p>"
+        f"<p class='note'>{escape(picture.description)}</p>"
     )
 
 
-def _again(found: Explained) -> list[str]:
+def _recomputation_section(found: Explained) -> list[str]:
     parts = [f"<p>{escape(comes_out_again(found))}</p>"]
     again = found.again
     if again is None:
@@ -157,7 +160,7 @@ def _again(found: Explained) -> list[str]:
 
 
 def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Give name and value of what there is, also within a value."""
+    """Return name and value of all non-empty facts."""
     return [
         (
             name,
@@ -169,6 +172,7 @@ def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _guidance(kind: str) -> list[str]:
+    """Return the HTML of the guidance for a kind of alarm."""
     if (guidance := GUIDANCE.get(kind)) is None:
         return []
     rows = [
@@ -183,16 +187,17 @@ def _guidance(kind: str) -> list[str]:
 
 
 def _history(found: Explained) -> str:
+    """Return the HTML of the alarm's events."""
     rows = []
     for event in found.history:
-        told = transition(event)
+        change = transition(event)
         rows.append(
             (
                 format_utc(event.utc_ns, 0),
                 event.kind.replace("_", " "),
-                (told["state"] or "").replace("_", " "),
-                told["who"] or "",
-                (told["why"] or "") if told["who"] else "",
+                (change["state"] or "").replace("_", " "),
+                change["who"] or "",
+                (change["why"] or "") if change["who"] else "",
             )
         )
     return table("", ("When", "What", "State", "By", "Why"), rows, "No event tells of it.")

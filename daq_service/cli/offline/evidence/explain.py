@@ -1,4 +1,4 @@
-"""``solimon explain``: an alarm recomputed, as a page and a file of JSON."""
+"""``solimon explain``: recompute an alarm and write a page and a JSON file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq_service.shared_file import write_durably
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Explain an alarm into a folder, and say where.
+    """Explain an alarm in a folder, and print its path.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pictures of an explained alarm as SVG within the page; numbers that they show are in its JSON file, too."""
+"""Draw the figures of an explained alarm as SVG; the JSON file has their numbers."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from daq_service.web.report.figures import (
 )
 
 LOG_FROM = 100.0
-"""A statistic whose largest value is so many times its limit is drawn on a logarithmic axis."""
+"""Ratio of maximum to limit above which the axis is logarithmic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """An SVG element and what it shows, in words."""
+    """An SVG element and its description."""
 
     name: str
-    told: str
+    description: str
     svg: str
 
 
 def pictures_of(found: Explained) -> list[Picture]:
-    """Draw what the alarm rests on; nothing where nothing was recomputed."""
+    """Draw the evidence of the alarm; nothing without a recomputation."""
     if found.again is None:
         return []
     drawn = [
@@ -54,6 +54,7 @@ def pictures_of(found: Explained) -> list[Picture]:
 
 
 def _waves(found: Explained, pulses: Pulses) -> Picture:
+    """Draw the mean record of the set and that of the baseline."""
     time_us = 1e6 * pulses.time_s
     with mpl.rc_context(RULES):
         figure, axis = _figure(1.6)
@@ -64,11 +65,11 @@ def _waves(found: Explained, pulses: Pulses) -> Picture:
         axis.set(xlabel="time since the peak of the incident wave (µs)", ylabel="sensor (V)")
         axis.legend(**ABOVE)
         svg = svg_of(figure, "waves")
-    told = (
+    description = (
         f"The mean record of set {found.alarm.raised_set_index} over the mean of the baseline, laid on each "
         "other at the peak of the incident wave; the reflected wave comes later."
     )
-    return Picture(name="waves", told=told, svg=svg)
+    return Picture(name="waves", description=description, svg=svg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +83,7 @@ class _Panel:
 
 
 def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
+    """Draw the quantities of all sets up to the alarm."""
     panels = [panel for panel in _panels(found, again) if panel.values]
     if not panels:
         return None
@@ -98,10 +100,10 @@ def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
             axis.legend(**ABOVE)
         axes[-1].set_xlabel("hour of the test at which the set was due")
         svg = svg_of(figure, "sets")
-    what = " and ".join(panel.label for panel in panels)
+    labels = " and ".join(panel.label for panel in panels)
     shaded = "" if baseline_ends_h is None else "the baseline is shaded, "
-    told = f"{what} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
-    return Picture(name="sets", told=told[0].upper() + told[1:], svg=svg)
+    description = f"{labels} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
+    return Picture(name="sets", description=description[0].upper() + description[1:], svg=svg)
 
 
 def _draw(axis: Axes, panel: _Panel) -> None:
@@ -122,7 +124,7 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 
 
 def _panels(found: Explained, again: Recomputed) -> Iterable[_Panel]:
-    """Give what the kind of alarm is about: statistics with limits, thickness, silent or valid shots."""
+    """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
     proof, rule = found.alarm.proof, found.alarm.proof.get("rule") or {}
     if found.alarm.kind == "thickness":
         read = [(row.due_h, getattr(row, "thickness_m", None)) for row in again.measured]
@@ -161,19 +163,20 @@ def _panel(
 
 
 def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
+    """Draw the contributions of the features."""
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
         return None
-    whole = sum(known.values()) or 1.0
+    total = sum(known.values()) or 1.0
     names = sorted(known, key=lambda name: known[name])
     with mpl.rc_context(RULES):
         figure, axis = _figure(1.0)
-        axis.barh(np.arange(len(names)), [100.0 * known[name] / whole for name in names], color=BLUE)
+        axis.barh(np.arange(len(names)), [100.0 * known[name] / total for name in names], color=BLUE)
         axis.set_yticks(np.arange(len(names)), [FEATURES.get(name, name.replace("_", " ")) for name in names])
         axis.set_xlabel("share (%)")
         svg = svg_of(figure, "contributions")
-    told = "What each feature contributes to what was compared with the limit."
-    return Picture(name="contributions", told=told, svg=svg)
+    description = "What each feature contributes to what was compared with the limit."
+    return Picture(name="contributions", description=description, svg=svg)
 
 
 def _figure(panels: float) -> tuple[Figure, Axes]:

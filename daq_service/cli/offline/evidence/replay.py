@@ -1,4 +1,4 @@
-"""``solimon replay``: a stored test judged with other settings, and what that changes."""
+"""``solimon replay``: reassess a stored test with other settings and list the changes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from daq_service.assessment.baseline_lifecycle import planned
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.cli.offline.evidence.changes import (
+    ASSESSED,
     EXTRACTED,
-    JUDGED,
     AlarmChanges,
     Difference,
     Onset,
@@ -44,7 +44,7 @@ from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE
 
 PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
-"""Columns that are told first: what becomes of a set, before the numbers behind it."""
+"""Columns that are listed first: the result of a set, before its numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,7 @@ class NotAssessed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replayed:
-    """What other settings make of a test.
+    """Result of a reassessment with other settings.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ def run_replay(
     workers: int | None,
     as_json: bool,
 ) -> None:
-    """Judge a stored test again and print what changed; the folder is only read."""
+    """Reassess a stored test and print the changes; the folder is only read."""
     if not extract and (executor or workers):
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
@@ -118,7 +118,7 @@ def replayed(
     extract_by: tuple[str, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Replayed:
-    """Judge a stored test with some settings changed, and compare with what is stored.
+    """Reassess a stored test with changed settings, and compare with the stored results.
 
     Parameters
     ----------
@@ -173,13 +173,13 @@ def replayed(
             ],
             alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
             differences=differences(
-                (*EXTRACTED, *JUDGED) if extract_by else JUDGED, stored, again, up_to_set=last
+                (*EXTRACTED, *ASSESSED) if extract_by else ASSESSED, stored, again, up_to_set=last
             ),
         )
 
 
 def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Tell that no set of a position lies behind its baseline: no alarm says so."""
+    """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
     found = again.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
@@ -196,7 +196,7 @@ def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterat
 
 
 def _one_extractor(versions: Iterable[str]) -> str:
-    """Refuse features that were extracted in different ways: they are different quantities."""
+    """Raise an error for features of different extractors, which are different quantities."""
     found = sorted(set(versions))
     if len(found) > 1:
         raise UsageError(
@@ -207,10 +207,10 @@ def _one_extractor(versions: Iterable[str]) -> str:
 
 
 def in_words(found: Replayed) -> Iterable[str]:
-    """Say it in lines."""
+    """Yield the lines of the result."""
     source = "from the waveforms" if found.extracted else "as stored"
-    told = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
-    yield f"{found.experiment}: {found.sets} sets judged again with {told or 'the same settings'}"
+    settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
+    yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
     yield f"features {source}, extractor {found.extractor_version}"
     alarms = found.alarms
     for one in alarms.moved:
@@ -226,14 +226,14 @@ def in_words(found: Replayed) -> Iterable[str]:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
-    for unjudged in found.not_assessed:
-        yield unjudged.told
+    for position in found.not_assessed:
+        yield position.told
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 
 
 def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Say in how many sets each column of their rows differs, a line a position; `--json` has the values.
+    """Yield the number of differing sets per column, one line per position; `--json` has the values.
 
     Of a column of named values the name that differs in most sets stands for all.
     """
@@ -248,11 +248,11 @@ def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
         for name in sorted(columns, key=lambda name: (*PROCESS_EVENTS, name).index(name)):
             row = columns[name]
             alike.setdefault((row.n_rows, row.first_set_index), []).append(row.column)
-        told = [
+        parts = [
             f"{', '.join(names)} in {f'{n} sets from set {first} on' if n > 1 else f'set {first}'}"
             for (n, first), names in alike.items()
         ]
-        yield f"{table} {position}: {'; '.join(told)}"
+        yield f"{table} {position}: {'; '.join(parts)}"
 
 
 def _where(onset: Onset) -> str:
