@@ -4,9 +4,9 @@
 
     / NXroot                  @default=entry @creator @creator_version @solimon_consolidated_version
     /entry NXentry            @default=<the first group of strikes>, title, start_time, program_name
-      <position>_waveforms    NXdata: waveform[shot_id, time] in counts, and a column a shot of each table
+      <position>_waveforms    NXdata: waveform[shot_id, time] in counts, and the columns of each table by shot
       <position>_pulse_echo   NXdata: the same with record[shot_id, time]
-      <position>_sets         NXcollection: a row a set
+      <position>_sets         NXcollection: a row per set
       provenance              NXnote: JSON
 
 Records of a position that differ in rate, length or type go to groups of their own (``B_waveforms_2``).
@@ -143,9 +143,9 @@ def consolidated_image(
     target, folder
         Path of the new file, and the data folder: paths to the sets' files are relative to it.
     shots
-        Blocks in their order, and columns with a value a shot.
+        Blocks in their order, and columns with a value per shot.
     sets
-        By position: columns with a value a set, the first one identifies the set.
+        By position: columns with a value per set, the first one identifies the set.
     """
     with image_file() as file:
         root = {

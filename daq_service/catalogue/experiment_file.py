@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 EXPERIMENT_FILE = "experiment.json"
 HISTORY_FILE = "history.jsonl"
-"""Beside it: `history`."""
+"""History of the test, see `history`."""
 
 
 def write_experiment(folder: Path, row: ExperimentRow) -> None:

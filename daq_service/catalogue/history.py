@@ -165,7 +165,7 @@ class HistoryFollower:
         self._refusal = ""
 
     def note_digest(self, file: str, sha256: str) -> None:
-        """Note the SHA-256 of a set's file, which the catalogue now has."""
+        """Add the SHA-256 of a set's file, which the catalogue now has."""
         self._new_digests[file] = sha256
 
     def begin(self) -> None:

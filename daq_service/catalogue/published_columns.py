@@ -1,6 +1,6 @@
 """Columns of rows in the API, its client, and exported tables.
 
-Times are RFC 3339 text beside hours of the experiment; a unit is in the name of its column.
+Times are RFC 3339 text, in addition to hours of the experiment; a unit is in the name of its column.
 """
 
 from __future__ import annotations

@@ -272,6 +272,7 @@ class Catalogue:
         return {name: list(columns.get(name, ())) for name in names}
 
     def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
+        """Read the rows of a query."""
         with self.reading() as connection:
             return read_rows(connection, kind, statement)
 
@@ -290,7 +291,7 @@ class Catalogue:
         Raises
         ------
         NoDataYetError
-            The experiment has not begun.
+            The experiment has not started.
         """
         row = self._newest_row(ExperimentRow)
         if row is None:
@@ -376,7 +377,7 @@ class Catalogue:
 
     def newest_baselines(self) -> dict[str, BaselineRow]:
         """Return the newest baseline of each position that has one."""
-        return {row.position: row for row in self.rows(BaselineRow)}  # the newest stands last
+        return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Return the id of the newest row, 0 before the first; ids count from 1 and no row is deleted."""
@@ -457,6 +458,7 @@ class Catalogue:
 
 
 def _due_time_counts_statement(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
+    """Return the query that counts due times from their rows."""
     lacking = sa.case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
     missed = sa.case((sets.c.state == "missed", 1), else_=0)
     due_times = sa.select(
@@ -558,6 +560,7 @@ def _position_names() -> sa.CTE:
 
 @cache
 def _newest_of(table: sa.Table) -> sa.Select[Any]:
+    """Return the query for the newest row of each position."""
     names, of_position = _position_names(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
         of_position.c.position == names.c.position, in_plan(of_position)
@@ -570,6 +573,7 @@ def _newest_of(table: sa.Table) -> sa.Select[Any]:
 
 @cache
 def _last_set_index() -> sa.Select[Any]:
+    """Return the query for the highest set index."""
     names = _position_names()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
         sets.c.position == names.c.position, in_plan(sets)
@@ -579,18 +583,21 @@ def _last_set_index() -> sa.Select[Any]:
 
 @cache
 def _unscheduled_files() -> sa.Select[Any]:
+    """Return the query for the files of unscheduled sets."""
     files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
     return files.order_by(sets.c.set_index)
 
 
 @cache
 def _newest_files(n_rows: int) -> sa.Select[Any]:
+    """Return the query for the files of the newest rows of sets."""
     newest = sa.select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
     return sa.select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
 
 
 @cache
 def _newest_gaps(count: int) -> sa.Select[Any]:
+    """Return the query for the newest gaps of each position."""
     names, of_position = _position_names(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"

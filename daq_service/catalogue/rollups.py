@@ -409,7 +409,7 @@ def trend_bins(
     Returns
     -------
     tuple or None
-        Sets of a bin, and the bins (`bin_type` of `values_of`); None: no more sets than points were measured.
+        Sets of a bin, and the bins (`bin_type` of `values_of`); None: at most ``points`` sets were measured.
     """
     with catalogue.reading() as connection:
         position_range = _range_of_hours(connection, position, (first_h, last_h))

@@ -2,7 +2,7 @@
 
 Tables (`tables`), the API's answers (`web.answers.models`) and the payloads of events are made from
 these. Times are integer nanoseconds of UTC, values SI with the unit in the name; None is "not
-available", never zero. An id is None until its row is stored. A text beside a type describes the
+available", never zero. An id is None until its row is stored. A text in `Annotated` describes the
 column in the API.
 """
 
@@ -186,7 +186,7 @@ class BaselineRow(Row):
     limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
     limit_paper: float | None = None
     limit_reason: str | None = None  # why there is no limit
-    approval: str  # "automatic", "by_a_person" until somebody has signed, or the name of who did
+    approval: str  # "automatic", "by_a_person" until a person approves, or the name of that person
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
     limits: Annotated[
         dict[str, float] | None,
@@ -219,7 +219,7 @@ class AssessmentRow(Row):
     limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
     limit_f: float | None = None  # as in `BaselineRow`
     limit_paper: float | None = None
-    outlier: bool | None = None  # None: not judged, see reason
+    outlier: bool | None = None  # None: not assessed, see reason
     outlier_paper: bool | None = None
     reason: str | None = None
     contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
@@ -281,7 +281,7 @@ class AlarmRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnnotationRow(Row):
-    """Note of a person for an hour or a range of hours; it is withdrawn, never deleted."""
+    """A person's note for an hour or a range of hours; it is withdrawn, never deleted."""
 
     id: int | None = None
     position: Annotated[str | None, "null: the whole test"] = None
@@ -323,7 +323,7 @@ class CommandRow(Row):
     state: CommandState
     result: str | None = None
     finished_wall_utc_ns: int | None = None
-    deadline_wall_utc_ns: int | None = None  # not begun by then, it expires
+    deadline_wall_utc_ns: int | None = None  # if it has not started by then, it expires
     deadline_boot_ns: Annotated[int | None, "The same in ns of the boot `boot_id`, sleep included"] = None
     boot_id: str | None = None  # None where the system names no boot
 

@@ -60,7 +60,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     Raises
     ------
     NoDataYetError
-        Reader: the recorder has not begun the experiment yet.
+        Reader: the recorder has not started the experiment yet.
     NetworkFolderError
         The folder is on a network file system.
     SchemaVersionError

@@ -27,7 +27,7 @@ ROW_CRC32 = "row_crc32"
 """The last column of each table: the checksum of the others, which no dataclass has."""
 
 _TABLES: dict[type[rows.Row], sa.Table] = {}
-# None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
+# None is SQL's NULL, not the JSON text "null": so NOT NULL is effective.
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: sa.Boolean(),
     bytes: sa.LargeBinary(),

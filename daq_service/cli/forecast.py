@@ -24,7 +24,7 @@ CATALOGUE_BYTES_A_RECORD = 800
 FOLDER_BYTES = 2 * 16 * 2**20 + 2**20
 """Two segments of the journal, and a catalogue without rows, live pictures and configuration."""
 BUILT_BYTES = 32 * 2**20
-"""A set of more raw bytes is built with fewer shots and scaled, so that a plan is told at once."""
+"""A set with more raw bytes is built with fewer shots and scaled, so that the forecast is fast."""
 TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
 """The twin stores as many facts with each shot."""
 NUISANCE_TRUTH = 12
@@ -39,7 +39,7 @@ class RecordSize:
     Attributes
     ----------
     known
-        False where nobody knows before (a recording, a mixed rig): assumed to be like the twin's.
+        False if unknown in advance (a recording, a mixed rig): assumed to be like the twin's.
     """
 
     samples: int
@@ -63,7 +63,7 @@ def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     )
     boards, probes = settings.rig.daqmx, settings.rig.niscope
     if settings.rig.kind == "daqmx" and boards is not None:
-        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
+        # Boards of up to 16 bits; 18 bits take twice as much, which only the board itself knows.
         strike = RecordSize(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
     if settings.rig.kind == "daqmx" and probes is not None:
         # The sum of the averaged records.

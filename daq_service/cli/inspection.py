@@ -95,7 +95,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "name": settings.name,
         "configuration_hash": settings.configuration_hash(),
         "sets": len(planned),
-        # Of the whole schedule, not of one cut by end_h, as `judgement.life` counts them.
+        # Of the complete schedule, not limited by end_h, as the baseline counts them.
         "baseline_sets": len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours)),
         "strikes": strikes,
         "pulse_echo_records": echoes,

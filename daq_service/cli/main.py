@@ -416,7 +416,7 @@ REASONS = {
         "Why is the baseline retired",
     ),
 }
-"""What is said where an order lacks the reason that it needs, and what is asked at a terminal."""
+"""Error for a command without its reason, and the question at a terminal."""
 
 
 def _send_order(kind: str, **options: Any) -> int:
@@ -728,7 +728,7 @@ def main() -> None:
         _end(f"{error}, then start again", error.exit_code)
     except SolimonError as error:
         _end(_message_of(error), error.exit_code)
-    except Exception as error:  # noqa: BLE001 - the end of the line: whatever it is has a code and one line
+    except Exception as error:  # noqa: BLE001 - last resort: every error becomes a code and one line
         _end(f"unforeseen, please report it: {_where(error)}{type(error).__name__}: {error}", EXIT_FAULT)
 
 
@@ -739,7 +739,7 @@ def _message_of(error: SolimonError) -> str:
         from daq_service.processes.lost_catalogue import lost_reason
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
-            with suppress(StorageError):  # what lies beside it cannot be read either
+            with suppress(StorageError):  # the other files are unreadable, too
                 return lost_reason(error.folder) or str(error)
     return str(error)
 

@@ -68,13 +68,13 @@ STOPPED = "the recorder was told to stop and strikes no more; start again with t
 
 
 def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
-    """Return the exit code of a child, which its supervisor is sent first.
+    """Return the exit code of a child after sending it to the supervisor.
 
     Raises
     ------
     TriedAgainError
-        The disk refuses now, and the child was started again: its supervisor tries once more. A process that
-        a person starts ends with `StorageUnavailableError` instead.
+        The disk refuses, and the child was restarted: its supervisor tries again. A process that a person
+        started ends with `StorageUnavailableError` instead.
     """
 
     def run() -> int:

@@ -13,7 +13,7 @@ from daq_service.processes.printing import print_line
 from daq_service.settings.file import load_settings
 
 OWN_FOLDER = "solimon-service"
-"""Of a service of several tests, where nobody names another."""
+"""Default folder of a service of multiple tests."""
 
 
 def serve_tests(

@@ -102,6 +102,7 @@ def _option(name: str) -> str:
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
+    """Compute and print the shots."""
     chain, plate, patch = specimen
     rows = []
     try:
@@ -124,6 +125,7 @@ def _specimen(
     drop_height_m: float | None,
     tilt_rad: float | None,
 ) -> Specimen:
+    """Return the specimen with the options applied."""
     place: Any = settings
     if position is not None:
         if position not in settings.positions:
@@ -140,6 +142,7 @@ def _specimen(
 
 
 def _grid(text: str) -> list[float]:
+    """Parse ``first:last:count``."""
     parts = text.split(":")
     try:
         first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
@@ -161,6 +164,7 @@ def _shot(
 
 
 def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:
+    """Print the table of shots."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))
     for row in rows:

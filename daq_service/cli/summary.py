@@ -52,6 +52,7 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
+    """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
@@ -76,6 +77,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
 
 
 def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
+    """Return the summary of an ultrasonic probe."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
@@ -100,23 +102,27 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
+    """Return the newest feature of a set with enough valid shots."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None
 
 
 def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
+    """Return the number of sets in the baseline so far."""
     if baseline is not None:
         return baseline.n_sets
     return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
+    """Return the hour of the first damage alarm."""
     hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return min(hours) if hours else None
 
 
 def _fraction(outliers: Iterable[bool | None]) -> float | None:
+    """Return the fraction of outliers; None without assessed sets."""
     known = [outlier for outlier in outliers if outlier is not None]
     return sum(known) / len(known) if known else None
 

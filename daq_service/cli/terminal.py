@@ -31,7 +31,7 @@ LOGGED_EVERY_S = 60.0
 """A log gets a line a set, of a test in simulated time one of many."""
 DRAWN_PER_S = 2.0
 MOST_HELD_LINES = 10_000
-"""Later lines are dropped while a terminal is held."""
+"""Maximum number of waiting lines; later ones are dropped while a terminal is blocked."""
 
 
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
@@ -55,14 +55,14 @@ def duration(seconds: float) -> str:
 class ProgressReport:
     """Prints the progress of a running test on standard error: hour, alarms, gaps, restarts.
 
-    On a terminal the last line is rewritten and the others stay above it; elsewhere (a log, a journal, which
-    date each line themselves) there are only lines. A terminal that is gone ends no test. One that is held
-    (Ctrl-S, a selection on Windows) keeps nobody waiting: a thread writes, and whoever tells goes on.
+    On a terminal the last line is rewritten below the others; elsewhere (a log, a journal, which date each
+    line themselves) there are only lines. A closed terminal does not end the test. A blocked one (Ctrl-S, a
+    selection on Windows) does not delay it: a thread writes the lines.
 
     Parameters
     ----------
     news_to_stderr
-        Where `line` writes: standard output belongs to somebody else.
+        `line` writes to standard error, since standard output is used for data.
     mono_s
         Monotonic time.
     """
@@ -104,10 +104,12 @@ class ProgressReport:
         self._put(text, err=self._news_to_stderr)
 
     def _put(self, text: str, *, err: bool = True, style: str = "") -> None:
+        """Add a line to the queue of the writing thread."""
         if self._lines.qsize() < MOST_HELD_LINES:
             self._lines.put((in_one_line(text), err, style))
 
     def _write(self) -> None:
+        """Write the queued lines until the end."""
         live = self._live
         if live is not None:
             with suppress(OSError):  # the terminal is gone
@@ -125,6 +127,7 @@ class ProgressReport:
         drop_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
+        """Print a line; ignore a closed terminal."""
         try:
             if self._live is not None and (err or sys.stdout.isatty()):
                 self._live.console.print(text, style=style, soft_wrap=True)
@@ -144,7 +147,7 @@ class ProgressReport:
         text = "; ".join(filter(None, (self._progress, long))) or doing
         return Text(in_one_line(text), no_wrap=True, overflow="ellipsis")
 
-    # What a recorder says, by itself or to its supervisor -------------------------------------------------
+    # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
     def __call__(self, event: str, **values: Any) -> None:
         """Print an event of the recorder; unknown events are ignored."""
@@ -154,7 +157,7 @@ class ProgressReport:
                 hear(**values)
 
     def hear(self, child: str, message: Mapping[str, Any]) -> None:
-        """Hear a message that a supervisor has from a child."""
+        """Print a message that a supervisor received from a child."""
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
             self._put(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
@@ -212,6 +215,7 @@ class ProgressReport:
         self._put(f"set {set_index} {what}", style="yellow")
 
     def _end_gap(self) -> None:
+        """Print the end of consecutive incomplete sets."""
         if self._gap is not None and self._gap[2] > self._gap[1]:
             what, first, last = self._gap
             others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"

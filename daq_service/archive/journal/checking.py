@@ -72,7 +72,7 @@ class _Scan:
         self.n_bytes += max(end_of_last, length)
 
     def _add_gap(self, name: str, start: int, end: int, neighbors: set[int]) -> None:
-        """Note bytes that are no frame, and the sets of the frames around them."""
+        """Add bytes that are no frame, and the sets of the frames around them."""
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
         self.gaps.append(

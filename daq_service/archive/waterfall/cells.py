@@ -2,8 +2,8 @@
 
 The samples of a record count from its anchor: the trigger, or the time of its first detected pulse or echo.
 The first sample not before the anchor is number 0, and cell c holds the samples c width .. (c + 1) width - 1.
-So a sample lies in the cell into which its time after the anchor falls, whatever fraction of a sample the
-anchor has: nothing is interpolated, and no single sample is ever lost or made.
+A sample belongs to the cell that contains its time after the anchor, for any fractional position of the
+anchor: nothing is interpolated, and no sample is lost or added.
 """
 
 from __future__ import annotations

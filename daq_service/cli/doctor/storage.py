@@ -148,7 +148,7 @@ def _owner(settings: Settings, folder: Path) -> Check:
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
-        if lost_catalogue(folder):  # then the sets say whose they are
+        if lost_catalogue(folder):  # then the sets identify the test
             experiment = kept_experiment(folder, history_of(folder), FolderSetReader(folder))
             if experiment is not None:
                 refuse_other_experiment(experiment, folder, settings)
@@ -179,7 +179,7 @@ def _stored(folder: Path) -> list[Check]:
         with open_catalogue(folder) as catalogue:
             lost = lost_sets(folder, catalogue)
     except (NoDataYetError, SchemaVersionError):
-        return []  # nothing begun, or an earlier version's: its owner's check says what is wrong
+        return []  # not started, or an earlier version's: `_owner` reports that
     except (StorageError, OSError) as error:
         return [_failed(name, str(error), "solimon verify says more")]
     if not lost:

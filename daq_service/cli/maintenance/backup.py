@@ -1,9 +1,9 @@
 """``backup``: copy a test, even while it runs, to a folder that opens like the original.
 
-A set moves from the journal to a file of its own, and gets rows before it does. So the catalogue is copied
-first, as it is at one moment, then the journal, then the files: a set that rows point at is in the copy of
-the journal, or it left it before that was copied and then its file was there. The copied catalogue gets its
-name last: until then the destination holds the backup from before, with more files.
+A set gets rows before it moves from the journal to its own file. So the catalogue is copied first, in one
+state, then the journal, then the files: a set with rows is in the copy of the journal, or its file existed
+before the journal was copied. The copied catalogue gets its name last: until then the destination holds the
+previous backup with more files.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ LEFT_OUT = {
     "tokens.lock",
     WEB_FILE,
 }
-"""Copied in their own way, or signs of a running test, which a copy is not; who may enter, and who is told of
-alarms from when on, is for each copy to say."""
+"""Copied separately, or signs of a running test, which a copy is not; tokens and notifications belong to each
+copy."""
 NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
-"""Columns of the experiment that tell one test from another."""
+"""Columns of the experiment that identify a test."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -101,7 +101,7 @@ def back_up(
     StorageError
         The destination is within the folder, or is no backup of this test; the catalogue is damaged.
     StorageUnavailableError
-        The destination takes no more; what is copied stays, and the next backup goes on from there.
+        The destination cannot be written; copied files stay, and the next backup continues.
     """
     source, target = folder.resolve(), destination.resolve()
     if source == target or source in target.parents or target in source.parents:
@@ -117,7 +117,7 @@ def back_up(
             _copy_sets(folder, destination, catalogue, copied, progress)
             copied.damage += _lost(folder, destination, catalogue, copied)
             _copy_others(folder, destination, copied)
-            for suffix in ("-wal", "-shm"):  # of somebody who wrote to the copy
+            for suffix in ("-wal", "-shm"):  # of a program that wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
             patiently(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
             sync_folder(destination)

@@ -1,4 +1,4 @@
-"""Carry out ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
+"""Run ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq_service.cli.maintenance.export_table import ExportedTable
 
 PROGRESS_EVERY_S = 10.0
-"""Where nobody sees a line that is rewritten."""
+"""Interval of progress lines if standard error is not a terminal."""
 LOWEST_PRIORITY = 19
 
 

@@ -102,7 +102,7 @@ def _rows(folder: Path, index: int) -> RowsOfSet | None:
     try:
         with UnchangedCatalogue(folder) as catalogue:
             return RowsOfSet(**{table: catalogue.of_set(table, index) for table in TABLES})
-    except CatalogueError:  # told as a damage of its own
+    except CatalogueError:  # reported as a separate finding
         return None
 
 

@@ -16,7 +16,7 @@ from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, Thickn
 from hardware_drivers.methods import PULSE_ECHO
 
 Found = Mapping[str, Any]
-"""A row as it stands in the catalogue: column to value."""
+"""A row of the catalogue: column to value."""
 _ASSESSED_COLUMNS = ("valid", "flags")
 """Columns of a shot that do not follow from its record alone."""
 
@@ -97,7 +97,7 @@ def _flags(row: Found) -> list[str]:
     """Decode the flags of a shot."""
     try:
         found = json.loads(row["flags"])
-    except (TypeError, ValueError):  # damaged: then it is not what the file says
+    except (TypeError, ValueError):  # corrupt: then it differs from the file
         return [str(row["flags"])]
     return [str(flag) for flag in found] if isinstance(found, list) else [str(found)]
 

@@ -59,7 +59,7 @@ KINDS = {
 TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 """Whose rows belong to a position and a set."""
 MOST_BEHIND_S = 60.0
-"""A history that is further behind was cut off, or could not be written: it follows within a second."""
+"""A history with a longer delay was truncated or not written: it normally follows within a second."""
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS = {
@@ -74,7 +74,7 @@ LOGS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One damage.
+    """One corruption.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
 def _lines_cut_off(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
     """Yield missing events after the end of the history.
 
-    A recorder follows within a second and before it ends. A crash costs no more; the next start writes it.
+    A recorder appends them within a second and before it ends; after a crash the next start does.
     """
     try:
         lacking = [] if state.catalogue is None else state.catalogue.events_after(last_id)
@@ -250,7 +250,7 @@ def _check_file(state: FolderCheck, index: int, reference: SetReference) -> Iter
     try:
         found = check_file(state.folder / reference, sha256=sha256)
     except SetNotFoundError:
-        return  # whether it should be there, its rows say
+        return  # its rows decide whether it should exist
     state.checked["files"] += 1
     state.checked["bytes"] += found.n_bytes
     if found.touched:
@@ -367,7 +367,7 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
     Raises
     ------
     StorageError
-        The folder is not there, or holds no test: damage cannot be told from a disk that is not mounted.
+        The folder is missing or holds no test: corruption cannot be distinguished from an unmounted disk.
     """
     if not any((folder / name).exists() for name in (SETS_FOLDER, FILE_NAME)):
         raise StorageError(
@@ -378,7 +378,7 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
         try:
             state.catalogue = stack.enter_context(UnchangedCatalogue(folder))
             state.experiment = state.catalogue.experiment()
-            # Whatever a damaged page says.
+            # A corrupt page may return other types.
             state.sets_with_rows = frozenset(
                 index for index in state.catalogue.set_indices() if isinstance(index, int)
             )

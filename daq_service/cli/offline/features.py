@@ -183,11 +183,13 @@ def _settings(
 
 
 def _median(values: Sequence[float]) -> float | None:
+    """Return the median of the positive values; None if there is none."""
     known = [value for value in values if value > 0.0]
     return float(np.median(known)) if known else None
 
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
+    """Extract the features of a record; a record with invalid values is flagged."""
     if not (np.abs(record.volts_v) < LARGEST_V).all():
         return graded(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
@@ -222,6 +224,7 @@ def _template(transducer: TransducerParameters, found: Template | None, width_s:
 
 
 def _in_words(template: Template) -> str:
+    """Describe the template that the records are compared with."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
     width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v
@@ -239,10 +242,12 @@ def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
 
 
 def _known(value: float) -> float | None:
+    """Return a finite value; None otherwise."""
     return value if math.isfinite(value) else None
 
 
 def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Print a table of the features of a file."""
     from rich.table import Table
 
     table = Table(title=f"{in_one_line(str(file))}, extractor {EXTRACTOR_VERSION}")
@@ -262,6 +267,7 @@ def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _with_sd(value: float | None, sd: float | None, unit: float, digits: int) -> str:
+    """Format a value with its standard deviation."""
     if value is None:
         return "-"
     text = f"{unit * value:.{digits}f}"

@@ -50,7 +50,7 @@ class IndividualResult:
     Attributes
     ----------
     chances
-        That a healthy one's chart rises as high, shape (rows,); one before its first judged row.
+        That a healthy one's chart rises as high, shape (rows,); one before its first assessed row.
     alarms
         Whether its chart alarms within the budget of a sensor.
     why_not
@@ -114,6 +114,7 @@ def assess_individually(
 
 
 def _after(table: Deviations) -> int:
+    """Return the first row after the baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
@@ -210,10 +211,12 @@ def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
 
 
 def _within(rows: Sequence[int], causes: Sequence[Shared]) -> bool:
+    """Return whether a row is within a shared deviation."""
     return any(cause.first_row <= row <= cause.last_row for row in rows for cause in causes)
 
 
 def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
+    """Stack tables to one array; missing rows are NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
         stacked[k, : len(part)] = part

@@ -139,12 +139,14 @@ def _csv(path: Path, parameters: FileParameters) -> RecordFile:
 
 
 def _cells(line: str) -> list[str]:
+    """Split a line of CSV."""
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
     return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
 
 
 def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number."""
     try:
         float(cell)
     except ValueError:
@@ -192,6 +194,7 @@ def _hdf5(path: Path, _: FileParameters) -> RecordFile:
 
 
 def _of_waveform(waveform: Waveform, position: str) -> Record:
+    """Return the record of a waveform."""
     return Record(
         volts_v=waveform.volts(),
         rate_hz=waveform.sample_rate_hz,

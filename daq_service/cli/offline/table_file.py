@@ -20,13 +20,13 @@ from daq_service.errors import UsageError
 MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
 SEPARATORS = ";\t,"
-"""Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
+"""Separators of CSV: the first one in the first line counts, since a comma may also be a decimal mark."""
 MISSING = re.compile(r"|n/?a|nan|nil|null|none|-|[+-]?ol|ovld|overload", re.IGNORECASE)
 """Texts of a cell without a value; the last ones are an instrument's overload."""
 OVERLOAD, NO_READINGS = 1e38, (-999.0, -9999.0, -99999.0)
 """Numbers for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
 MOST_CELLS = 100_000_000
-"""Of a table whose size stands in its header: 800 MB of numbers."""
+"""Maximum size of a table according to its header: 800 MB of numbers."""
 NAMES_SHOWN = 12
 ROWS_BY_NAME = re.compile(
     r"unnamed: \d+|__index_level_\d+__|level_\d+|index|idx|#|no|nr|number|(.*[_ ])?(id|uid|uuid|guid)"
@@ -143,6 +143,7 @@ def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
 
 
 def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
+    """Describe a column that is no feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
@@ -161,6 +162,7 @@ def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
 
 
 def _is_nearly(cell: Any, decimal: str, *, mixed: bool) -> bool:
+    """Return whether a text looks like a number with other characters."""
     if not isinstance(cell, str) or _number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
@@ -184,6 +186,7 @@ def _columns(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a CSV file and its decimal mark."""
     comments, lines = csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
     cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
@@ -253,12 +256,14 @@ def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tupl
 
 
 def _require_names_once(path: Path, names: Sequence[str]) -> None:
+    """Raise an error for repeated names of columns."""
     named = [name for name in names if name]
     if len(set(named)) < len(named):
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
 def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a Parquet file."""
     from daq_service.web.tables.formats import pyarrow
 
     arrow = pyarrow()
@@ -284,6 +289,7 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a `.npy` file."""
     try:
         with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
             array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -308,15 +314,18 @@ def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
 
 
 def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Replace values for overload and missing readings by NaN."""
     over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
 def _is_missing(cell: Any) -> bool:
+    """Return whether a cell has no value."""
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
 def _number(cell: Any, decimal: str) -> float | None:
+    """Convert a cell to a number; None if it is not one."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
     try:
@@ -326,10 +335,12 @@ def _number(cell: Any, decimal: str) -> float | None:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number."""
     return _number(cell, decimal) is not None
 
 
 def _no_number(column: Sequence[Any], decimal: str) -> Any:
+    """Return the first cell that is not a number."""
     return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
 
 
@@ -343,5 +354,6 @@ def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
 
 
 def _listed(names: Any) -> str:
+    """Join names, shortened if there are many."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

@@ -85,6 +85,7 @@ def not_made(item: str, reason: str) -> list[Row]:
 
 
 def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
+    """Compare one value of the paper with ours."""
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
     relative = None
     if deviation is not None and value.value and value.unit != "%":
@@ -113,11 +114,13 @@ def _vanishes(deviation: float, paper: float | None) -> bool:
 
 
 def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+    """Return the cause of a deviation; empty if the values agree."""
     cause = "" if ours.value is None else cause_of(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _paper_shown(value: PaperValue) -> str:
+    """Format a value of the paper."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
     sign = "±" if value.wording.startswith("+-") else ""
     words = value.wording.removeprefix("+-").strip("; ")

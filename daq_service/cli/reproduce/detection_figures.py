@@ -55,6 +55,7 @@ def draw_fig14(material: item.Material) -> item.Product:
 
 
 def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colour: str) -> None:
+    """Draw the distances of a position with its limits."""
     distance = pulses.values["distance_squared"]
     if baseline_h is not None:
         axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
@@ -89,6 +90,7 @@ def _share(pulses: SolitaryWaves, outlier: FloatArray, from_h: float) -> tuple[f
 
 
 def _share_text(pulses: SolitaryWaves) -> str:
+    """Describe the percentages of outliers."""
     parts = []
     for limit, outlier in (("mean + 3 SD", pulses.outlier_paper), ("the exact limit", pulses.outlier)):
         share, n = _share(pulses, outlier, SPLIT_H)
@@ -99,6 +101,7 @@ def _share_text(pulses: SolitaryWaves) -> str:
 
 
 def _outliers(test: Evidence) -> dict[str, item.Found]:
+    """Return our values of figure 14."""
     values: dict[str, item.Found] = {}
     for name in "BCD":
         pulses = test.pulses.get(name)
@@ -110,6 +113,7 @@ def _outliers(test: Evidence) -> dict[str, item.Found]:
 
 
 def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, key: str) -> item.Found:
+    """Return one of our values of figure 14, or why it is missing."""
     if pulses is None:
         return item.missing(f"the test has no solitary-wave position {name}")
     if pulses.baseline is None:
@@ -198,6 +202,7 @@ def draw_fig15(material: item.Material) -> item.Product:
 
 
 def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
+    """Return hours and true thickness of the twin; None for a real specimen."""
     known = [trace for trace in test.traces.get(position, ()) if "thickness_m" in trace.truth]
     if not known:
         return None
@@ -217,6 +222,7 @@ def _line(probe: PulseEchoes) -> tuple[float, float] | None:
 
 
 def _wall(test: Evidence, probe: PulseEchoes, line: tuple[float, float] | None) -> dict[str, item.Found]:
+    """Return our values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.missing("the test has no pulse-echo position A"))
@@ -251,6 +257,7 @@ def _wall(test: Evidence, probe: PulseEchoes, line: tuple[float, float] | None) 
 
 
 def _r_squared(probe: PulseEchoes, line: tuple[float, float]) -> float:
+    """Compute R^2 of a line through the loss."""
     present = np.isfinite(probe.thickness_loss_m)
     hours, loss = probe.hour_h[present], probe.thickness_loss_m[present]
     residual = loss - (line[0] + line[1] * hours)

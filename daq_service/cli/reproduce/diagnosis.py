@@ -17,7 +17,7 @@ GIVEN = "no independent agreement"
 """Start of the cause of a value that the twin was given: shown even without a deviation."""
 
 MEASURED = ("table1", "fig7", "fig8", "fig9", "fig11", "fig14", "fig15")
-"""Items that show measurements; the others are models of the paper's specimen, whatever test is read."""
+"""Items that show measurements; the others are models of the paper's specimen, for any test."""
 
 _PAPERS_MODEL = (
     "not reproducible: no setting that the paper states gives its ToF and AR together; elements that lock "

@@ -1,7 +1,7 @@
 """Read the results of a test from its data folder through the catalogue and the archive.
 
 Read only: a test that is still running may be read too. Names of positions, methods, limits and waveforms
-are the folder's own; what it does not have stays empty, and the figures say so.
+are the folder's own; missing data stay empty, and the figures state that.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Series:
     Attributes
     ----------
     patch_m
-        Assumed size of the corroded patch; None where the configuration does not say.
+        Assumed size of the corroded patch; None if not configured.
     set_index, hour_h
         Shape (n,).
     first_alarm_h
@@ -87,7 +87,7 @@ class PulseEchoes(Series):
     delay_s, initial_thickness_m
         D and th_0 of eq. 17, as configured.
     element_separation_m
-        Distance of the probe's elements that its path is corrected for; 0: eq. 17 as it stands.
+        Distance of the probe's elements that its path is corrected for; 0: eq. 17 without correction.
     """
 
     travel_time_s: FloatArray
@@ -240,10 +240,12 @@ def _common(
 
 
 def _array(values: Sequence[float | bool | None]) -> FloatArray:
+    """Return values as float64; None becomes NaN."""
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
 def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
+    """Read the sets of a solitary-wave transducer."""
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
     assessments = catalogue.columns(
         AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *ASSESSED], position=position
@@ -268,6 +270,7 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any
 def _pulse_echoes(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], configuration: Mapping[str, Any]
 ) -> PulseEchoes:
+    """Read the sets of an ultrasonic probe."""
     names = ("travel_time_s", "thickness_m", "thickness_loss_m")
     columns = catalogue.columns(ThicknessRow, ["set_index", "due_h", *names], position=position)
     ultrasound = configuration.get("ultrasound", {})

@@ -44,7 +44,7 @@ class Found:
     value
         None where it is not available, or where it is no number.
     words
-        Where a number alone does not say it; else empty.
+        Addition to the number; may be empty.
     reason
         Why `value` is not available; empty where it is.
     """

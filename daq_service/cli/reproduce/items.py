@@ -1,4 +1,4 @@
-"""Every figure and table, in the paper's order; the slips come last."""
+"""List of all figures and tables in the paper's order; the slips come last."""
 
 from __future__ import annotations
 

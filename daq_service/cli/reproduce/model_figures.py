@@ -62,6 +62,7 @@ def draw_fig10(material: item.Material) -> item.Product:
 
 
 def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
+    """Return the largest deviation of an approximation in per cent."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
 
@@ -127,12 +128,14 @@ def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
 
 
 def _band(axis: Axes, nominal: str, spread: str) -> None:
+    """Draw the paper's range around a nominal value."""
     value, percent = printed("fig12", nominal), printed("fig12", spread)
     for sign in (-1.0, 1.0):
         axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
 
 
 def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> item.Table:
+    """Return the points of all curves as a table."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", over, "tof_us", "amplitude_ratio")
     return item.Table(
@@ -141,6 +144,7 @@ def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], ove
 
 
 def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> dict[str, item.Found]:
+    """Return our values of figure 12."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     tof_us, ar = at["disk"][1.0]
     change = {
@@ -177,6 +181,7 @@ _LABELS = {name: label for name, label, *_ in _DEPTH_CURVES}
 
 
 def _depth_jobs() -> dict[str, item.Job]:
+    """Return the jobs of figure 13."""
     jobs = {}
     for name, _, _, _, depths in _DEPTH_CURVES:
         model, sensor, *large = name.split("_")
@@ -236,6 +241,7 @@ def draw_fig13(material: item.Material) -> item.Product:
 def _depth_found(
     curves: Mapping[str, Sequence[tuple[float, float, float]]], absent: Mapping[str, str]
 ) -> dict[str, item.Found]:
+    """Return our values of figure 13."""
     values: dict[str, item.Found] = {}
     for model in ("mindlin", "solid"):
         for sensor, _ in SENSORS:

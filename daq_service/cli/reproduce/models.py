@@ -1,7 +1,7 @@
 """Compute the models' results: functions for an executor, possibly in another process.
 
-Everything here is the paper's specimen unless a study changes one thing; the parameters' defaults are the
-paper's, whatever a configuration says.
+The specimen is that of the paper unless a study changes one parameter; the defaults are the paper's,
+independent of a configuration.
 """
 
 from __future__ import annotations

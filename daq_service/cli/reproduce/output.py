@@ -16,7 +16,7 @@ from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.shared_file import patiently
 
 RECORD = "reproduction.json"
-"""Tells that the folder is ours, and at the end what is in it."""
+"""Marks the folder as a reproduction, and finally lists its contents."""
 REPORT = "report.html"
 DATA_FOLDER = "data"
 """Of a test that was run for the figures."""

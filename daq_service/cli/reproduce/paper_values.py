@@ -19,7 +19,7 @@ class PaperValue:
     item
         Name of the figure or table here.
     value
-        As printed; None where the paper says it in words only.
+        As printed; None if the paper has only words.
     decimals
         Printed digits behind the point: ours is shown with one more.
     wording

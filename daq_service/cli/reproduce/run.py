@@ -93,7 +93,7 @@ def reproduce_into(
     executor
         Carries out the models' jobs.
     stop
-        Set to interrupt: what is finished stays, and the report says what is missing.
+        Set to interrupt: finished items stay, and the report lists the missing ones.
 
     Returns
     -------

@@ -233,8 +233,8 @@ def _salt_water(material: Material) -> str:
     dry, wet = _one(material, "disk"), _one(material, "disk_wet")
     return (
         f"added mass of liquid on one face over the plate's own: {', '.join(ratios)}; {_WATER_DEPTH_M:g} m "
-        f"of salt solution on the plate moves our ToF from {dry.tof_us:.1f} to {wet.tof_us:.1f} us and AR from "
-        f"{dry.amplitude_ratio:.3f} to {wet.amplitude_ratio:.3f}"
+        f"of salt solution on the plate moves our ToF from {dry.tof_us:.1f} to {wet.tof_us:.1f} us and AR "
+        f"from {dry.amplitude_ratio:.3f} to {wet.amplitude_ratio:.3f}"
     )
 
 

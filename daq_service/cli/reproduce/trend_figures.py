@@ -58,6 +58,7 @@ def _draw(
     style: _FeatureStyle,
     found_by: Callable[[Mapping[str, _Fit | str]], dict[str, item.Found]],
 ) -> item.Product:
+    """Draw a feature of all transducers with fits and the paper's values."""
     test, names = material.test, material.transducers
     fits = _fits(test, style)
     figure, axes = sheet(1, len(names), height_in=3.3, sharex=True, sharey=True)
@@ -83,6 +84,7 @@ def _draw(
 
 
 def _panel(axis: Axes, pulses: SolitaryWaves, style: _FeatureStyle, fit: _Fit | str, colour: str) -> None:
+    """Draw a feature of one transducer."""
     axis.plot(
         pulses.hour_h,
         style.scale * pulses.values[style.column],
@@ -104,6 +106,8 @@ def _panel(axis: Axes, pulses: SolitaryWaves, style: _FeatureStyle, fit: _Fit | 
 
 
 def _table(test: Evidence, style: _FeatureStyle, fits: Mapping[str, _Fit | str]) -> item.Table:
+    """Return a feature and its fit as a table."""
+
     def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
         fit, hours = fits[pulses.position], pulses.hour_h
         fitted = fit.trend.at(hours) / style.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
@@ -130,6 +134,7 @@ def _fit_table(fits: Mapping[str, _Fit | str]) -> item.Table:
 
 
 def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], float]) -> item.Found:
+    """Return a value of a position's fit, or why it is missing."""
     fit = fits.get(position)
     if fit is None:
         return item.missing(f"the test has no solitary-wave position {position}")

@@ -51,6 +51,7 @@ def draw_fig7(material: item.Material) -> item.Product:
 def _waterfall(
     axis: Axes, traces: Sequence[Trace], pulses: SolitaryWaves, last_h: float, colour: str
 ) -> None:
+    """Draw the averaged records of a position and the times of their features."""
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])
@@ -80,6 +81,7 @@ def _waterfall(
 
 
 def _every(trace: Trace) -> int:
+    """Return the step between drawn samples."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
@@ -113,6 +115,7 @@ def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
 
 
 def _change(test: Evidence, position: str) -> item.Found:
+    """Return the hour of the first alarm at a position."""
     if position not in test.pulses:
         return item.missing(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h

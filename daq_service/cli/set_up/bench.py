@@ -260,9 +260,11 @@ class Bench:
         self._thread.shutdown()
 
     def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
+        """Run work in the thread of the boards."""
         return self._thread.submit(self._work, position, self.parameters(position), work).result()
 
     def _work(self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]) -> T:
+        """Open the input of a position if necessary, and work with it."""
         from hardware_drivers.daqmx.pulse_record import FreeInput
 
         if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
@@ -275,6 +277,7 @@ class Bench:
             raise
 
     def _release(self) -> None:
+        """Close the open input."""
         free, self._free = self._free, None
         if free is not None:
             free.close()

@@ -138,6 +138,7 @@ class Dialogue:
         return {"question": asked, "lines": self.lines}
 
     def _next(self, question: Question) -> str:
+        """Wait for the next valid answer."""
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK_S)
@@ -156,11 +157,13 @@ class Dialogue:
             return answer.text.strip()
 
     def _read_terminal(self) -> None:
+        """Start the thread that reads the terminal."""
         if not self._reads:
             self._reads = True
             threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
 
     def _lines_of(self, stream: Any) -> None:
+        """Put the lines of a stream into the queue of answers."""
         typed = stream.isatty()
         for line in stream:
             # What a person typed to an earlier question, or while the rig was at work, answers no later one.

@@ -112,6 +112,7 @@ def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
 
 
 def _twin() -> dict[str, Any]:
+    """Read the values of the shipped configuration of the twin."""
     return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
@@ -137,7 +138,7 @@ def _playback(source: Path) -> dict[str, Any]:
     for place in values["positions"].values():
         for name in OF_THE_TWIN:
             place.pop(name, None)
-    # Not the folder of the recording, which may lie beside the file.
+    # Not the folder of the recording, which may be next to the file.
     values["storage"] = {**values["storage"], "folder": "playback-data"}
     return {**values, "rig": {"kind": "playback", "playback": playback}}
 
@@ -157,6 +158,7 @@ def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str
 
 
 def _read(text: str, *, like: Any) -> Any:
+    """Parse a value of the type of another one."""
     if isinstance(like, str):
         return text
     try:
@@ -166,6 +168,7 @@ def _read(text: str, *, like: Any) -> Any:
 
 
 def _table(values: Mapping[str, Any], name: str) -> KeyPath:
+    """Return the path of a named table."""
     tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
     if name not in tables:
         raise _no_such(name, tables, "--with or --without TABLE")
@@ -173,15 +176,18 @@ def _table(values: Mapping[str, Any], name: str) -> KeyPath:
 
 
 def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
+    """Return the error for an unknown name."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
 def _without(values: Mapping[str, Any], off: Collection[KeyPath]) -> dict[str, Any]:
+    """Return the values without switched-off tables."""
     return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
 
 
 def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
+    """Return whether a key is in one of the tables."""
     return any(key[: len(table)] == table for table in tables)
 
 

@@ -52,7 +52,7 @@ class KindsBench:
     Attributes
     ----------
     parameters
-        Keys that somebody gave, by instrument.
+        Given keys by instrument.
     served
         Instrument of each role, by position.
     trials
@@ -240,7 +240,7 @@ def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
 
 
 def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
-    """Ask for positions until no more is named."""
+    """Ask for positions until the person ends."""
     for name in bench.offers:
         dialogue.report(f"{name}: {_in_words(bench, name)}")
     while (position := ask_position(dialogue, bench.served)) is not None:

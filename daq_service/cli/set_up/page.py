@@ -55,7 +55,7 @@ def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     Raises
     ------
     BusyError
-        Somebody else has the port.
+        Another program uses the port.
     """
     stop = threading.Event()
     bound: queue.Queue[str | Exception] = queue.Queue()
@@ -65,7 +65,7 @@ def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     def run() -> None:
         try:
             serve(app, "127.0.0.1", port, on_bound=bound.put, stop=stop, close_streams=lambda: None)
-        except Exception as error:  # noqa: BLE001 - told by the thread that waits for the address
+        except Exception as error:  # noqa: BLE001 - raised by the thread that waits for the address
             bound.put(error)
 
     thread = threading.Thread(target=run, name="page", daemon=True)
@@ -90,7 +90,7 @@ class Audience:
         self._received_end = threading.Event()
 
     def note_request(self) -> None:
-        """Note a request of a page for the state."""
+        """Record that a page asked for the state."""
         self._last_request_s = time.monotonic()
         if self.done:
             self._received_end.set()

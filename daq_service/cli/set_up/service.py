@@ -69,6 +69,7 @@ def _this_user() -> str:
 
 
 def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
+    """Return the commands that install the files."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
         copy = f"sudo cp {shlex.join(map(str, files))} /etc/systemd/system/"
@@ -98,7 +99,7 @@ def systemd_units(
                 ("TimeoutStartSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
                 # The strike under way ends, what was taken is stored.
                 ("TimeoutStopSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
-                # The recorder itself is told; its workers end with it, or are killed after it.
+                # Only the recorder gets the signal; its workers end with it, or are killed after it.
                 ("KillMode", "mixed"),
                 ("RestartSec", "10"),
             ],
@@ -124,7 +125,7 @@ def systemd_units(
                 ("Type", "notify"),  # before the recorder looks whether it has to start one
                 ("NotifyAccess", "main"),
                 ("WatchdogSec", f"{math.ceil(answered_within_s(supply))}"),
-                # Told to end it switches off first, which the supply may keep waiting.
+                # On a stop it switches off first, which may wait for the supply.
                 ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
                 ("RestartSec", "5"),
             ],
@@ -146,11 +147,12 @@ def systemd_units(
 def _unit(
     title: str, command: Iterable[str], at: PurePath, folder: PurePath, user: str, unit: Lines, service: Lines
 ) -> str:
+    """Return the text of a systemd unit."""
     sections: dict[str, Lines] = {
         "Unit": [
             ("Description", _plain(" ".join(title.split()))),
             ("RequiresMountsFor", _quoted(str(folder))),
-            ("StartLimitIntervalSec", "0"),  # nobody is there to reset it
+            ("StartLimitIntervalSec", "0"),  # a person cannot be expected to reset it
             *unit,
         ],
         "Service": [
@@ -158,7 +160,7 @@ def _unit(
             ("WorkingDirectory", _plain(str(at))),
             ("ExecStart", " ".join(map(_quoted, command))),
             # Any exit code may be that of a driver or a vendor's library, so none ends a test but that of a
-            # configuration, which does not mend itself; `systemctl stop` is no restart.
+            # configuration, which needs a person; `systemctl stop` is no restart.
             ("Restart", "always"),
             ("RestartPreventExitStatus", f"{UsageError.exit_code}"),
             ("SuccessExitStatus", f"{EXIT_INTERRUPTED}"),
@@ -181,6 +183,7 @@ def _unit(
 
 def _command(word: str, config: PurePath, folder: PurePath) -> list[str]:
     # After its last set the recorder stays and takes orders.
+    """Return the command line of a service."""
     linger = ["--linger"] if word == "record" else []
     return [*PROGRAM, word, str(config), "--data-dir", str(folder), *linger]
 
@@ -233,8 +236,8 @@ TASK = """<?xml version="1.0" encoding="UTF-16"?>
   </Actions>
 </Task>
 """
-"""At boot, whoever is logged on (S4U: no password is kept); every 5 min anew where it has ended; at normal
-priority, which is not the scheduler's default; for as long as it takes."""
+"""Starts at boot without a login (S4U: no password is stored) and every 5 min if it has ended; normal
+priority, which is not the scheduler's default; no time limit."""
 
 
 def windows_tasks(

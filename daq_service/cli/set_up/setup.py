@@ -128,6 +128,7 @@ def _translated_errors() -> Iterator[None]:
 
 
 def _named(given: Sequence[str]) -> dict[str, str]:
+    """Parse ``NAME=VALUE`` options."""
     named = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -173,6 +174,7 @@ def look_around(
 
 
 def _met(survey: Survey) -> str:
+    """Describe the boards that were found."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
         return "; ".join(f"{finding.subject}: {finding.detail}, {finding.remedy}" for finding in failed)

@@ -52,6 +52,7 @@ def take_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
 
 
 def _print_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: TransducerWiring) -> None:
+    """Wire a transducer and print its input at rest."""
     record = bench.wire(position, wiring)
     dialogue.report(
         f"{position}      {wiring.input} of {wiring.board_serial}, coil at {wiring.counter} "
@@ -61,7 +62,7 @@ def _print_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: Transd
 
 
 def ask_for_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
-    """Ask for transducers until no more is named."""
+    """Ask for transducers until the person ends."""
     for name, text, bounds in (
         ("drop_height_m", "Height the strikers fall from, m", (0.0, 1.0)),
         ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -114,6 +115,7 @@ def _number_within(low: float, high: float) -> Callable[[str], float]:
 
 
 def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
+    """Return a valid new position; None for the end."""
     if text == "-" and taken:
         return None
     if not text.isalnum() or text in taken:
@@ -164,12 +166,14 @@ def _wire(dialogue: Dialogue, bench: Bench, position: str) -> None:
 
 
 def _choice(dialogue: Dialogue, name: str, text: str, choices: Sequence[str]) -> str:
+    """Ask for one of the choices."""
     if not choices:
         raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
     return dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
 
 
 def _print_strike(dialogue: Dialogue, bench: Bench, position: str) -> None:
+    """Print the survey of the newest strike and its remedies."""
     proposal = bench.proposal()
     assert proposal is not None, "it was struck"
     survey = proposal.surveys[position]

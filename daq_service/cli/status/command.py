@@ -29,7 +29,7 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
     Raises
     ------
     UsageError
-        The folder is not there or none of ours, or nobody could watch.
+        The folder does not exist or has no test, or ``--watch`` has no terminal.
     """
     folder, facts = _read_status(config, data_dir)
     if as_json and not watch:

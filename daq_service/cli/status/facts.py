@@ -161,9 +161,7 @@ def _present_state(
         try:
             reader = FolderSetReader(folder)
             interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, reader)
-        except (
-            ArchiveError
-        ) as error:  # `lost` and `verify` tell of it; the reading itself is in the catalogue
+        except ArchiveError as error:  # `lost` and `verify` report it; the catalogue has the value
             log.debug("no interval of position %s: %s", last.position, error)
     age_h = None if data_h is None else fresh.age_h(data_h)
     chart = deciding_chart(last.last_verdict, settings)

@@ -40,7 +40,7 @@ STYLES = {
     "suspect": "yellow",
     "bad": "bold red",
 }
-"""Colours are never alone: the word stands beside each."""
+"""Colours never stand alone: each has its word."""
 DISK_STYLES = dict(zip(LEVELS, ("", "yellow", "bold red", "bold red"), strict=True))
 LARGEST_IN_FULL = 1e4
 """Larger distances are shown in powers of ten."""
@@ -185,6 +185,7 @@ def _table(*columns: str) -> Table:
 
 
 def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return the table of positions."""
     table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
         result, limit, quality = _result(row)
@@ -257,6 +258,7 @@ def _state_of_alarm(row: Mapping[str, Any]) -> str:
 
 
 def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of alarms."""
     table = _table("alarm", "severity", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(

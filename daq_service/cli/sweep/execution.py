@@ -20,7 +20,7 @@ from daq_service.errors import SolimonError
 from daq_service.processes.executors import worker_lost
 
 ROWS_PER_TASK = 8
-"""At most: small enough to stop and to tell progress soon, large enough that sending costs nothing."""
+"""Maximum: small enough for fast stop and progress, large enough that sending costs little."""
 
 TASKS_IN_ALL = 16
 """At least so many for each worker, where there are rows enough, so that all end together."""
@@ -85,9 +85,9 @@ def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcom
 
 
 def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
-    """Return the group rows by plate, then by chain; the first task of each plate comes first.
+    """Group rows by plate, then by chain; the first task of each plate comes first.
 
-    So every plate is reduced once, by whoever gets its first task, and read from the cache after that.
+    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards.
     """
     plates: dict[object, dict[object, list[Row]]] = {}
     for row in rows:

@@ -112,7 +112,7 @@ def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
     except ValidationError as error:
         raise ValueError(_explained(error)) from error
     for path, value in changes.items():
-        # pydantic takes true for 1.0, which nobody means.
+        # pydantic accepts true for 1.0, which is never intended.
         if isinstance(value, bool) and not isinstance(value_at(made, path), bool):
             raise ValueError(f"{'.'.join(path)} is {str(value).lower()}; it must be a number or a name")
     return made

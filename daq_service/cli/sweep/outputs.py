@@ -1,7 +1,7 @@
-"""Write the table of a sweep: CSV with facts beside it, HDF5, Parquet. A file appears whole or not at all.
+"""Write the table of a sweep as CSV with a file of facts, HDF5 or Parquet; files are complete or absent.
 
-A CSV file follows RFC 4180 to the letter, so that every program reads it: one header, no comments. What
-the other formats hold as attributes lies in ``FILE.csv.json`` beside it.
+A CSV file follows RFC 4180 exactly, so that every program reads it: one header, no comments. The attributes
+of the other formats are in ``FILE.csv.json``.
 """
 
 from __future__ import annotations

@@ -121,6 +121,7 @@ def describe(keys: Sequence[str], row: Row) -> str:
 
 
 def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
+    """Raise an error for axes of different lengths or too many rows."""
     lengths = [len(axis.values) for axis in axes]
     if element_wise and len(set(lengths)) > 1:
         counts = ", ".join(f"{axis.key} {len(axis.values)}" for axis in axes)
@@ -189,4 +190,5 @@ def json_text(value: Any) -> str:
 
 
 def _sha256(content: Any) -> str:
+    """Compute the SHA-256 of an object's JSON."""
     return hashlib.sha256(json_text(content).encode()).hexdigest()

@@ -21,7 +21,7 @@ class Progress:
     done
         Of those, found in the work file.
     stream
-        Where to tell; None is standard error.
+        Output stream; None is standard error.
     clock
         Monotonic seconds.
     what

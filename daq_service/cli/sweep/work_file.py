@@ -1,7 +1,7 @@
 """Store the finished rows of a running sweep as lines of a work file.
 
-A line is the SHA-256 of its JSON, a blank and that JSON. The first line names the sweep. Whatever a
-crash has left of the last line is cut off; a line whose checksum fails is computed again.
+A line is the SHA-256 of its JSON, a blank and that JSON. The first line identifies the sweep. A last line
+that a crash truncated is removed; a row whose line fails its checksum is computed again.
 """
 
 from __future__ import annotations
@@ -101,6 +101,7 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
 
 
 def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
+    """Read the finished rows of a work file, or start it."""
     file.seek(0)
     stored = file.read()
     whole = stored.rfind(b"\n") + 1
@@ -144,6 +145,7 @@ def belongs_to(path: Path, plan: Plan) -> bool:
 
 
 def _content(plan: Plan, outcome: Outcome) -> dict[str, Any]:
+    """Return the JSON object of an outcome."""
     content = {
         "row": outcome.index,
         "key": plan.rows[outcome.index].key,
@@ -160,6 +162,7 @@ def _content(plan: Plan, outcome: Outcome) -> dict[str, Any]:
 
 
 def _outcome_of(plan: Plan, content: dict[str, Any]) -> Outcome | None:
+    """Return the outcome of a JSON object; None if it does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
         return None
@@ -184,6 +187,7 @@ def _write_all(file: IO[bytes], content: bytes) -> None:
 
 
 def _line(content: dict[str, Any]) -> bytes:
+    """Return a line with its checksum."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 

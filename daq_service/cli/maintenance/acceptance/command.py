@@ -1,4 +1,4 @@
-"""Carry out ``certify``: for a terminal, as a page, as JSON."""
+"""Run ``certify``: write the acceptance report for a terminal, as a page, as JSON."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ DEFAULTS: tuple[Criterion, ...] = (
     # A test of a year and 8,760 sets would take 90 MB and 9 handles more.
     Criterion(quantity="resident_bytes_growth", sense="at most", limit=10e6),
     Criterion(quantity="open_handles_growth", sense="at most", limit=1.0),
-    # What check-config foretells must fit the disk that somebody bought by it.
+    # The disk was chosen by the forecast of check-config.
     Criterion(quantity="growth_of_forecast", sense="at most", limit=1.25),
     Criterion(quantity="clock_step_max_s", sense="at most", limit=60.0),
     Criterion(quantity="clock_doubts", sense="at most", limit=0.0),

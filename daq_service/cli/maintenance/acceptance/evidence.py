@@ -91,7 +91,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
     Raises
     ------
     NoDataYetError
-        No test has begun here.
+        No test has started here.
     CatalogueError
         The catalogue is damaged, or a newer version's.
     ValidationError

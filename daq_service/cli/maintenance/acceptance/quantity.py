@@ -20,22 +20,22 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number.
+    """One number of the report.
 
     Attributes
     ----------
     name
         Key in the JSON, with the unit at its end where it has one.
     text, unit, how
-        What it is, in words; its unit, "1" for a mere number; how it was computed.
+        Description; unit, "1" for a pure number; method of computation.
     value
         None: there is none.
     missing
-        Why there is no value; of one that there is, it is left empty.
+        Why there is no value; empty if there is one.
     low, high
-        Ends of its interval; None: it is known as it stands.
+        Ends of its interval; None: it has no uncertainty.
     applies
-        False: nothing of the kind can be measured here, so no criterion asks for it.
+        False: it cannot be measured in this test, so no criterion needs it.
     """
 
     section: str
@@ -76,9 +76,9 @@ class Series:
     missing
         Why there is nothing to show; where there is something, it is left empty.
     label, others
-        What it is called beside further lines, and these by their names: hours and values.
+        Legend of the series, and further lines by name: hours and values.
     steps
-        It stays between two readings.
+        It is constant between two readings.
     """
 
     name: str

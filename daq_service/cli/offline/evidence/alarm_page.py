@@ -116,6 +116,7 @@ def _sentences(found: Explained) -> list[str]:
 
 
 def _finding_section(found: Explained) -> list[str]:
+    """Return the HTML of the alarm's message and evidence."""
     message = found.alarm.message
     return [
         f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
@@ -133,6 +134,7 @@ def _figure(picture: Picture) -> str:
 
 
 def _recomputation_section(found: Explained) -> list[str]:
+    """Return the HTML of the recomputation's result."""
     parts = [f"<p>{escape(comes_out_again(found))}</p>"]
     again = found.again
     if again is None:

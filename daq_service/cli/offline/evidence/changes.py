@@ -142,9 +142,9 @@ def differences(
 ) -> list[Difference]:
     """Compare the rows of these kinds, column by column; of features those of complete sets.
 
-    A column that no stored row has is of a later version, and says nothing. A set that only one of the two
-    has a row of differs in the column ``row``. Up to a set, what people did to a baseline is not compared:
-    its row tells that of today, which may have come after the set.
+    A column that no stored row has is of a later version and is ignored. A set with a row in only one of the
+    two differs in the column ``row``. Up to a set, actions of people on a baseline are not compared: its row
+    has the present state, which may be later than the set.
     """
     found = []
     for kind in kinds:

@@ -77,7 +77,7 @@ class Recomputed:
     silent
         Shots without a reflected wave, by set.
     pulses
-        Waves of the set that raised it beside those of the baseline; None where there are none.
+        Waves of the set that raised it and of the baseline; None if there are none.
     """
 
     n_sets: int
@@ -101,7 +101,7 @@ class Explained:
     history
         Its events.
     again
-        None where it does not follow from records; ``why_not`` says so.
+        None if it does not follow from records; ``why_not`` is the reason.
     """
 
     experiment: ExperimentRow

@@ -54,7 +54,7 @@ class ExtractedAhead:
     def _begin(self, reference: SetReference) -> None:
         """Read a set and start the extraction of its features."""
         record = self.read(reference)
-        # Without what the twin and the instrument say of a shot: extraction does not read it.
+        # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
         future = self.executor.submit(_extracted, self.rehearsal, records)
         self._under_way[reference] = record, future

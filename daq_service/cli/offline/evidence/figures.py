@@ -107,6 +107,7 @@ def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
 
 
 def _draw(axis: Axes, panel: _Panel) -> None:
+    """Draw a panel."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
     for (words, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
         axis.axhline(limit, label=words, **style)
@@ -153,6 +154,7 @@ def _panel(
     limits: Mapping[str, float | None],
     factor: float = 1.0,
 ) -> _Panel:
+    """Return a panel without missing values."""
     there = [(hour, factor * value) for hour, value in points if value is not None]
     return _Panel(
         label=label,
@@ -180,5 +182,6 @@ def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
 
 
 def _figure(panels: float) -> tuple[Figure, Axes]:
+    """Create a figure with one axis."""
     figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * panels), layout="constrained")
     return figure, figure.subplots()

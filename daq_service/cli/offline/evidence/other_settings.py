@@ -40,7 +40,7 @@ def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
     Raises
     ------
     UsageError
-        Not of this form, twice the same key, or a key that does not judge.
+        Not of this form, twice the same key, or a key that does not concern the assessment.
     """
     found: dict[KeyPath, Any] = {}
     for text in texts:

@@ -88,6 +88,7 @@ def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, Shot
 
 
 def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
+    """Return stored features in the form of extracted ones."""
     known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}
     return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
@@ -109,9 +110,9 @@ def assess_again(
     Parameters
     ----------
     settings
-        What to judge by, which may be others than the test's own.
+        Settings of the assessment, which may differ from the test's own.
     up_to_set
-        The last set that is judged; None: all.
+        The last set that is assessed; None: all.
     read_set
         Reads a set's record; None: as it is stored.
     progress
@@ -120,7 +121,7 @@ def assess_again(
     Returns
     -------
     set of int
-        Indices of the sets that were judged.
+        Indices of the assessed sets.
 
     Raises
     ------
@@ -149,10 +150,11 @@ class _Reassessment:
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
         self._assessor = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
-        # Alarms of this judgement are no news of a test.
+        # Alarms of this assessment are not reported.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
+        """Reassess the sets in their order and return their indices."""
         events = [
             event
             for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
@@ -180,6 +182,7 @@ class _Reassessment:
         return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
 
     def _take_set(self, set_index: int) -> None:
+        """Assess a set from its file or its rows."""
         rows = self._stored.rows(SetRow, set_index=set_index)
         file = next((row.file for row in rows if row.file), None)
         if file is None:
@@ -226,7 +229,7 @@ class _Reassessment:
         author = event.payload.get("author") or event.payload.get("acknowledged_by") or ""
         note = event.payload.get("note") or ""
         change = None
-        if event.kind == "alarm_raised":  # by a person's order, or by what the records do not tell
+        if event.kind == "alarm_raised":  # by a person's command, or not from records
             columns = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
             change = Change(row=AlarmRow(**{**columns, "id": None}), event_kind=event.kind)
         elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:

@@ -58,7 +58,7 @@ class NotAssessed:
     last_set
         The position's last one.
     told
-        The same in words, with what to do.
+         Message with the remedy.
     """
 
     position: str
@@ -75,7 +75,7 @@ class Replayed:
     Attributes
     ----------
     extractor_version
-        Of the features that were judged.
+        Extractor of the assessed features.
     """
 
     experiment: str
@@ -123,14 +123,14 @@ def replayed(
     Parameters
     ----------
     given
-        ``KEY=VALUE`` each; without any the test is judged as it was.
+        ``KEY=VALUE`` each; without any the test's own settings are used.
     extract_by
         Executor and number of workers that take the features from the waveforms again; None: the stored ones.
 
     Raises
     ------
     UsageError
-        A setting does not judge or is refused, or stored features are of several extractors.
+        A setting is invalid or does not concern the assessment, or stored features differ in extractor.
     StorageError
         There is no test, or a set of it cannot be read.
     """
@@ -235,7 +235,7 @@ def in_words(found: Replayed) -> Iterable[str]:
 def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
     """Yield the number of differing sets per column, one line per position; `--json` has the values.
 
-    Of a column of named values the name that differs in most sets stands for all.
+    A column of named values is represented by the name that differs in most sets.
     """
     by_place: dict[tuple[str, str], dict[str, Difference]] = {}
     for row in found:
