@@ -176,8 +176,12 @@ def consolidated_image(
 
 def _relative(target: Path, folder: Path) -> str:
     """Return the path from the file to the data folder; absolute if on another Windows drive."""
-    here, there = target.parent.resolve(), folder.resolve()
-    return (Path(os.path.relpath(there, here)) if here.drive == there.drive else there).as_posix()
+    target_folder, data_folder = target.parent.resolve(), folder.resolve()
+    return (
+        Path(os.path.relpath(data_folder, target_folder))
+        if target_folder.drive == data_folder.drive
+        else data_folder
+    ).as_posix()
 
 
 def group_names_of(samplings: Iterable[Sampling]) -> dict[Sampling, str]:

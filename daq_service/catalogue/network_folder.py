@@ -58,14 +58,14 @@ def _filesystem_type(path: str, mountinfo: str) -> str:
     place = PurePosixPath(path)
     nearest, kind = -1, ""
     for line in mountinfo.splitlines():
-        left, separator, right = line.partition(" - ")
-        fields = left.split()
-        if not separator or len(fields) < 5 or not right.split():
+        mount, separator, filesystem = line.partition(" - ")
+        fields = mount.split()
+        if not separator or len(fields) < 5 or not filesystem.split():
             continue
         mount_point = PurePosixPath(_unescape(fields[4]))
         # ">=": a later mount on the same point hides the earlier one.
         if place.is_relative_to(mount_point) and len(mount_point.parts) >= nearest:
-            nearest, kind = len(mount_point.parts), right.split()[0]
+            nearest, kind = len(mount_point.parts), filesystem.split()[0]
     return kind
 
 

@@ -150,7 +150,7 @@ def _parts(connection: Connection, place: _PositionRange, first: int, end: int) 
 
 def _joined_parts(parts: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
     """Combine the sums from each start to the next one."""
-    return np.stack([joined_part(some) for some in np.split(parts, starts[1:])])
+    return np.stack([joined_part(block_parts) for block_parts in np.split(parts, starts[1:])])
 
 
 _CHARTS = _Rollup(

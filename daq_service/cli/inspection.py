@@ -60,10 +60,10 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
     """Print the number of planned baseline sets, and a warning if there are too few."""
     if not settings.names_of(SOLITARY_WAVE):
         return
-    n_sets, least = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
-    needs = f"it needs at least {least}, {GOOD_SETS} and more are advised"
+    n_sets, minimum = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
+    needs = f"it needs at least {minimum}, {GOOD_SETS} and more are advised"
     click.echo(f"baseline   {n_sets} sets planned for each transducer; {needs}")
-    if n_sets < least or n_sets >= facts["sets"]:
+    if n_sets < minimum or n_sets >= facts["sets"]:
         click.echo(
             f"WARNING: nothing would be judged: the plan has {facts['sets']} sets, and baseline.hours = "
             f"{settings.baseline.hours:g} takes {n_sets} of each transducer; {needs}, and sets behind it",

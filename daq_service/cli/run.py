@@ -299,7 +299,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
-            left = own_supply(
+            was_left = own_supply(
                 parameters,
                 folder,
                 open_owned,
@@ -311,7 +311,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         except SolimonError as error:
             log.error("%s", error)
             raise
-        return EXIT_OK if left else EXIT_INTERRUPTED
+        return EXIT_OK if was_left else EXIT_INTERRUPTED
 
 
 def serve_alone(

@@ -51,8 +51,8 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     from daq_service.web.multi_test.app import create_app_of_many
 
     settings = load_settings(web)
-    own = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
-    folder = own if data_dir is None else data_dir.absolute()
+    service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
+    folder = service_folder if data_dir is None else data_dir.absolute()
     refuse_open_doors(settings.web, folder)
     app = create_app_of_many(paths, settings, folder)
     prepare_data_folder(folder)

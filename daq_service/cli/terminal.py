@@ -191,9 +191,9 @@ class ProgressReport:
             self._put(self._progress)
 
     def _hear_alarm(self, *, change: str, hour: float, severity: str, message: str, **_: Any) -> None:
-        stands = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
-        words = f"ALARM, {severity}" if stands else change.replace("_", " ")
-        self._put(f"hour {hour:.1f}, {words}: {message}", style="bold red" if stands else "")
+        is_active = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
+        text = f"ALARM, {severity}" if is_active else change.replace("_", " ")
+        self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _hear_waits(self, *, why: str) -> None:
         self._put(f"waiting: {why}", style="yellow")
@@ -206,20 +206,20 @@ class ProgressReport:
 
     def _hear_gap(self, *, set_index: int, state: str, positions: list[str], cause: str) -> None:
         """Print the first of consecutive incomplete sets with one cause; of the rest the last one."""
-        what = f"{state} at {', '.join(positions)}: {cause}"
-        if self._gap is not None and self._gap[0] == what:
-            self._gap = (what, self._gap[1], set_index)
+        description = f"{state} at {', '.join(positions)}: {cause}"
+        if self._gap is not None and self._gap[0] == description:
+            self._gap = (description, self._gap[1], set_index)
             return
         self._end_gap()
-        self._gap = (what, set_index, set_index)
-        self._put(f"set {set_index} {what}", style="yellow")
+        self._gap = (description, set_index, set_index)
+        self._put(f"set {set_index} {description}", style="yellow")
 
     def _end_gap(self) -> None:
         """Print the end of consecutive incomplete sets."""
         if self._gap is not None and self._gap[2] > self._gap[1]:
-            what, first, last = self._gap
+            description, first, last = self._gap
             others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"
-            self._put(f"{others}, too, {what}", style="yellow")
+            self._put(f"{others}, too, {description}", style="yellow")
         self._gap = None
 
 

@@ -113,7 +113,7 @@ def back_up(
             history = _read_history(folder)
             catalogue.copy_to(snapshot)
             _sync(snapshot)
-            kept = {path.name for path in _copy_journal(folder, destination, copied)}
+            segment_names = {path.name for path in _copy_journal(folder, destination, copied)}
             _copy_sets(folder, destination, catalogue, copied, progress)
             copied.damage += _lost(folder, destination, catalogue, copied)
             _copy_others(folder, destination, copied)
@@ -124,7 +124,7 @@ def back_up(
             _write(destination / HISTORY_FILE, history, copied)
             if not copied.damage:  # else an older segment may have what the file has lost
                 for path in segments(destination).values():
-                    if path.name not in kept:
+                    if path.name not in segment_names:
                         remove_quietly(path)
         except OSError as error:
             remove_quietly(snapshot)
@@ -227,14 +227,14 @@ def _lost(folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied
     """
     named = {finding.file for finding in copied.damage}
     files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
-    gone = {file: index for index, file in catalogue.files().items() if file not in files}
-    journal = read_journal(destination) if gone else {}
-    kept = {item.reference for item in journal.values()}
+    missing = {file: index for index, file in catalogue.files().items() if file not in files}
+    journal = read_journal(destination) if missing else {}
+    journaled = {item.reference for item in journal.values()}
     return [
         Finding(kind="set_missing", file=file, shot_id=None, told=f"{NOWHERE}; {BACK}")
-        for file in gone
+        for file in missing
         # A set may have left the journal for a file between the two looks.
-        if file not in kept and not (folder / file).exists()
+        if file not in journaled and not (folder / file).exists()
     ]
 
 

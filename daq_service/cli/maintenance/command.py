@@ -126,16 +126,16 @@ def run_export(
         records = RecordChoice(position=waveforms, **given)
         return _print_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
     assert hdf5 is not None, "one of the two is given"
-    made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
+    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
     if as_json:
-        click.echo(json.dumps({"ok": not made.left_out, **asdict(made)}))
+        click.echo(json.dumps({"ok": not file.left_out, **asdict(file)}))
     else:
-        for sentence in made.left_out.values():
+        for sentence in file.left_out.values():
             click.echo(f"left out  {sentence}")
-        if made.waiting:
-            click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
-        click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
-    return StorageError.exit_code if made.left_out else EXIT_OK
+        if file.waiting:
+            click.echo(f"waiting   {file.waiting} sets have no file yet; export again later")
+        click.echo(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
+    return StorageError.exit_code if file.left_out else EXIT_OK
 
 
 _OF_HDF5: Collection[str] = ()
@@ -147,11 +147,11 @@ def _word(hdf5: Path | None, table: str | None) -> str:
     return "hdf5" if hdf5 is not None else "table" if table is not None else "waveforms"
 
 
-def _print_files(made: Sequence[ExportedTable], *, as_json: bool) -> int:
+def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
     if as_json:
-        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in made]}))
+        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in files]}))
     else:
-        for item in made:
+        for item in files:
             click.echo(f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)")
     return EXIT_OK
 

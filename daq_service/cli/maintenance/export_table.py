@@ -84,7 +84,7 @@ def _write(
     forms = [_form(target) for target in targets]
     for target in targets:
         refuse_target(folder, target, overwrite=overwrite)
-    made = []
+    files = []
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.experiment_row()
         positions = experiment.configuration["positions"]
@@ -99,8 +99,8 @@ def _write(
                 raise StorageUnavailableError(
                     f"{target} cannot be written: {error}; free or mend the disk"
                 ) from error
-            made.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
-    return made
+            files.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
+    return files
 
 
 def _form(target: Path) -> str:

@@ -147,17 +147,18 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
 def check_experiment(state: FolderCheck) -> Iterator[Finding]:
     """Check the files that a lost catalogue is rebuilt from."""
     try:
-        kept = read_experiment(state.folder)
+        stored = read_experiment(state.folder)
     except CatalogueError as error:
         yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=str(error))
     else:
-        if kept is not None and state.experiment is not None:
-            own = {name: state.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")}
-            other = {name: getattr(kept, name) for name in own}
-            if own != other:
-                description = (
-                    f"it tells of {other}, the catalogue of {own}: one is foreign or damaged; {BACK}"
-                )
+        if stored is not None and state.experiment is not None:
+            catalogue_values = {
+                name: state.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")
+            }
+            file_values = {name: getattr(stored, name) for name in catalogue_values}
+            if catalogue_values != file_values:
+                values = f"it tells of {file_values}, the catalogue of {catalogue_values}"
+                description = f"{values}: one is foreign or damaged; {BACK}"
                 yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=description)
     running = is_owned(state.folder) is not False
     try:
@@ -298,11 +299,11 @@ def _compare(
         return
     if rows is None or state.experiment is None:
         return
-    name, own = record.provenance.get("configuration_hash"), state.experiment["configuration_hash"]
-    if name is not None and name != own:
-        description = (
-            f"its configuration is {name}, the catalogue's {own}: one of the two is foreign or damaged"
-        )
+    file_hash = record.provenance.get("configuration_hash")
+    catalogue_hash = state.experiment["configuration_hash"]
+    if file_hash is not None and file_hash != catalogue_hash:
+        hashes = f"its configuration is {file_hash}, the catalogue's {catalogue_hash}"
+        description = f"{hashes}: one of the two is foreign or damaged"
         yield Finding(
             kind="metadata", file=reference, shot_id=None, told=f"{description}; move it out, or {BACK}"
         )
@@ -395,16 +396,16 @@ def _notes(state: FolderCheck) -> list[str]:
     others = [
         path.name for path in (state.folder / SETS_FOLDER).glob("*") if not referenced_sets([path.name])
     ]
-    left = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
-    strange = sorted(set(others) - set(left))
-    aside = sorted(path.name for path in (state.folder / QUARANTINE_FOLDER).glob("*"))
+    unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
+    foreign = sorted(set(others) - set(unfinished))
+    quarantined = sorted(path.name for path in (state.folder / QUARANTINE_FOLDER).glob("*"))
     notes = []
     if number := state.checked["sets_without_rows"]:
         notes.append(f"{number} sets have no rows yet; the recorder's next start makes them")
-    if left:
-        notes.append(f"left over in {SETS_FOLDER}: {', '.join(left)}; solimon repair removes them")
-    if strange:
-        notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(strange)}")
-    if aside:
-        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(aside)}; remove what nobody needs")
+    if unfinished:
+        notes.append(f"left over in {SETS_FOLDER}: {', '.join(unfinished)}; solimon repair removes them")
+    if foreign:
+        notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(foreign)}")
+    if quarantined:
+        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what nobody needs")
     return notes

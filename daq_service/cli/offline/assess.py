@@ -72,8 +72,10 @@ def run_assess(
             path: sensor for path, (sensor, error) in zip(tables, results, strict=True) if error is None
         }
         if fleet and readable:
-            alone = [sensor["alarm"]["rows"] for sensor in readable.values()]
-            answer["fleet"] = assess_fleet([*readable], read, mapped, design, false_discovery_rate, alone)
+            own_alarms = [sensor["alarm"]["rows"] for sensor in readable.values()]
+            answer["fleet"] = assess_fleet(
+                [*readable], read, mapped, design, false_discovery_rate, own_alarms
+            )
     if as_json:
         click.echo(json.dumps(answer, allow_nan=False))
     else:

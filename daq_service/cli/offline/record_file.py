@@ -103,8 +103,8 @@ def _npy(path: Path, parameters: FileParameters) -> RecordFile:
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
     if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
-        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise UsageError(f"{path}: {what}; it must be numbers, records x samples, or one record")
+        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise UsageError(f"{path}: {contents}; it must be numbers, records x samples, or one record")
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")

@@ -104,26 +104,30 @@ def read_table(
                 cell = _no_number(columns[name], decimal)
                 at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
                 raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
-    kept = {name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)}
-    if not kept:
+    columns_of_numbers = {
+        name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)
+    }
+    if not columns_of_numbers:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
             f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
             "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     for name in chosen:
-        if not isinstance(columns[name], np.ndarray) and (name in kept or reasons[name] == NO_NUMBERS):
+        if not isinstance(columns[name], np.ndarray) and (
+            name in columns_of_numbers or reasons[name] == NO_NUMBERS
+        ):
             _refuse_nearly(path, name, columns[name], decimal)
-    vectors = np.stack(list(kept.values()), axis=1)
+    vectors = np.stack(list(columns_of_numbers.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
         healthy = _equal(columns[baseline_where[0]], baseline_where[1], decimal)
         if not healthy.any():
-            there = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
-            raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {there}")
+            values = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
+            raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {values}")
     left_out = tuple(_left_out(name, columns[name], why) for name, why in reasons.items() if why)
-    return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy, left_out=left_out)
+    return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
 def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
@@ -153,8 +157,8 @@ def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
-    words = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
-    if nearly and 2 * words <= len(known):
+    n_texts = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
+    if nearly and 2 * n_texts <= len(known):
         raise NoTableError(
             f"{path}: column {name!r} holds {str(column[nearly[0]])!r} in row {nearly[0]}, nearly a number: "
             "write the number alone, with no mark between thousands, or choose other columns by --features"
@@ -234,12 +238,12 @@ def _without_units(path: Path, header: list[str], body: list[list[str]], decimal
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
         return body
     cells = enumerate(zip(first, second, strict=False))
-    words = [k for k, (cell, below) in cells if _is_number(below, decimal) and not _is_missing(cell)]
-    if any(not header[k] for k in words):
+    unit_columns = [k for k, (cell, below) in cells if _is_number(below, decimal) and not _is_missing(cell)]
+    if any(not header[k] for k in unit_columns):
         raise NoTableError(
             f"{path}: row 0 ({','.join(first)}) names columns without a name: keep one such row"
         )
-    return body[1:] if words else body
+    return body[1:] if unit_columns else body
 
 
 def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
@@ -296,8 +300,8 @@ def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
-        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise NoTableError(f"{path}: {what}; it must be numbers, rows x features")
+        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise NoTableError(f"{path}: {contents}; it must be numbers, rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 

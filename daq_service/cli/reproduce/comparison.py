@@ -123,8 +123,12 @@ def _paper_shown(value: PaperValue) -> str:
     """Format a value of the paper."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
     sign = "±" if value.wording.startswith("+-") else ""
-    words = value.wording.removeprefix("+-").strip("; ")
-    return f"{sign}{number} ({words})" if number and words else f"{sign}{number}" or words
+    qualification = value.wording.removeprefix("+-").strip("; ")
+    return (
+        f"{sign}{number} ({qualification})"
+        if number and qualification
+        else f"{sign}{number}" or qualification
+    )
 
 
 def _shown(number: float, value: PaperValue) -> str:

@@ -92,8 +92,8 @@ def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
     sd = np.sqrt(np.diag(np.array(baseline.covariance)))
     correlation = np.array(baseline.covariance) / np.outer(sd, sd)
     scaled = off / sd
-    again = np.einsum("ij,ij->i", scaled, np.linalg.solve(correlation, scaled.T).T)
-    return float(np.max(np.abs(again / stored[present] - 1.0))), int(present.sum())
+    recomputed = np.einsum("ij,ij->i", scaled, np.linalg.solve(correlation, scaled.T).T)
+    return float(np.max(np.abs(recomputed / stored[present] - 1.0))), int(present.sum())
 
 
 def _equation_17(probe: PulseEchoes) -> tuple[float, int] | None:

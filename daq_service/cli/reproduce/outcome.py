@@ -74,8 +74,8 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     names
         Of the items that were wanted; those that are not made are named as missing.
     """
-    made = {section.name for section in run.sections}
-    missing = [name for name in names if name not in made]
+    finished = {section.name for section in run.sections}
+    missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
     counts = tally(run.rows)
     result: dict[str, Any] = {

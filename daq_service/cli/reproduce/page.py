@@ -117,10 +117,10 @@ def _comparison(rows: Sequence[Row]) -> str:
         ours = escape(row.ours_shown)
         if row.ours is None:
             ours = f"<span class='missing'>{ours}</span>"
-        words = f" <span class='note'>({escape(row.ours_words)})</span>" if row.ours_words else ""
+        remark = f" <span class='note'>({escape(row.ours_words)})</span>" if row.ours_words else ""
         unit = {"1": "", "us": "µs"}.get(row.unit, row.unit)
         parts.append(
-            f"<tr><td>{escape(row.text)}{words}</td><td>{escape(row.where)}</td>"
+            f"<tr><td>{escape(row.text)}{remark}</td><td>{escape(row.where)}</td>"
             f"<td class='number'>{escape(row.paper_shown)}</td><td class='number'>{ours}</td>"
             f"<td>{escape(unit)}</td><td class='number'>{escape(row.deviation_shown)}</td>"
             f"<td>{escape(row.cause)}</td></tr>"

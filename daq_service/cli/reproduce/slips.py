@@ -131,12 +131,12 @@ def _point_load(material: Material) -> str:
 
 def _not_monotonic(material: Material) -> str:
     shots: list[models.Pulse] = material.result("disk_depths")
-    least = min(shots, key=lambda shot: shot.amplitude_ratio)
+    minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     first, last = shots[0], shots[-1]
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
     return (
-        f"AR is {first.amplitude_ratio:.3f} pristine, least ({least.amplitude_ratio:.3f}) at "
-        f"{100 * least.depth_fraction:.0f} %, and {last.amplitude_ratio:.3f} at "
+        f"AR is {first.amplitude_ratio:.3f} pristine, least ({minimum.amplitude_ratio:.3f}) at "
+        f"{100 * minimum.depth_fraction:.0f} %, and {last.amplitude_ratio:.3f} at "
         f"{100 * last.depth_fraction:.0f} %: the thinned patch rebounds within the contact. ToF "
         f"{'rises throughout' if rises else 'is not monotonic either'}"
     )

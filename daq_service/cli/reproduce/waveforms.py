@@ -67,10 +67,10 @@ def _waterfall(
         ("psw_time_s", PURPLE, "PSW"),
         ("ssw_time_s", ORANGE, "SSW"),
     ):
-        drawn = np.isin(pulses.hour_h, hours)
+        is_drawn = np.isin(pulses.hour_h, hours)
         axis.plot(
-            1e6 * pulses.values[column][drawn],
-            pulses.hour_h[drawn],
+            1e6 * pulses.values[column][is_drawn],
+            pulses.hour_h[is_drawn],
             linestyle="none",
             marker="|",
             markersize=5,

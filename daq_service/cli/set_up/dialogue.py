@@ -126,16 +126,16 @@ class Dialogue:
         """Return the state for the page."""
         with self._lock:
             waiting, number = self._waiting, self.number
-        asked = None
+        question = None
         if waiting is not None:
-            asked = {
+            question = {
                 "number": number,
                 "name": waiting.name,
                 "text": waiting.text,
                 "default": waiting.default,
                 "choices": list(waiting.choices),
             }
-        return {"question": asked, "lines": self.lines}
+        return {"question": question, "lines": self.lines}
 
     def _next(self, question: Question) -> str:
         """Wait for the next valid answer."""

@@ -121,15 +121,15 @@ def _playback(source: Path) -> dict[str, Any]:
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
-    kept = read_experiment(source) if source.is_dir() else None
+    experiment = read_experiment(source) if source.is_dir() else None
     values = _twin()
-    if kept is not None:
+    if experiment is not None:
         try:
-            recorded = stored_settings(kept.configuration).model_dump(mode="json", exclude_none=True)
+            recorded = stored_settings(experiment.configuration).model_dump(mode="json", exclude_none=True)
         except ValidationError as error:
             raise UsageError(f"{source} was recorded by a version with other keys: {error}") from error
         values = {name: recorded[name] for name in values}
-        values["clock"] = {"kind": "simulated", "epoch": format_utc(kept.epoch_utc_ns, 9)}
+        values["clock"] = {"kind": "simulated", "epoch": format_utc(experiment.epoch_utc_ns, 9)}
     elif not (source / "sets").is_dir():
         mapping = asdict(TdmsMapping())
         playback["format"] = "tdms"

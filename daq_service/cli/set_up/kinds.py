@@ -37,11 +37,11 @@ NOT_INSTRUMENTS = frozenset({"twin", "playback"})
 
 def other_kinds() -> dict[str, Offer]:
     """Return the installed kinds other than NI boards that digitize or strike."""
-    own = NOT_INSTRUMENTS | {"daqmx"}
+    excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
         name: offer
         for name, offer in offers().items()
-        if name not in own and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
+        if name not in excluded and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
     }
 
 
@@ -187,20 +187,20 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
         One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
         parameter is none.
     """
-    there = other_kinds()
+    available = other_kinds()
     try:
         for name in names:
             find_kind(name)
     except ConfigurationError as error:
         raise UsageError(f"--kind: {error}") from error
-    if idle := sorted(set(names) - set(there)):
+    if idle := sorted(set(names) - set(available)):
         raise UsageError(
             f"--kind: {', '.join(idle)} neither digitizes nor strikes here; NI boards are set up without "
-            f"--kind, and others are: {', '.join(there) or 'none installed'}"
+            f"--kind, and others are: {', '.join(available) or 'none installed'}"
         )
     for role in ROLES_OF_A_TRANSDUCER:
-        if not any(role in there[name].roles for name in names):
-            able = ", ".join(name for name, offer in there.items() if role in offer.roles)
+        if not any(role in available[name].roles for name in names):
+            able = ", ".join(name for name, offer in available.items() if role in offer.roles)
             raise UsageError(
                 f"--kind: none of {', '.join(names)} is a {role}; add one that is: "
                 f"{able or 'none is installed (docs/how-to/write-a-driver.md)'}"
@@ -208,7 +208,7 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
     bench = KindsBench(
         file=file,
         data_folder=folder,
-        offers={name: there[name] for name in names},
+        offers={name: available[name] for name in names},
         parameters={name: {} for name in names},
     )
     try:

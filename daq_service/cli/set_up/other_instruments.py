@@ -48,8 +48,8 @@ def ask_for_others(
     if asks and not (supply and climate):
         from hardware_drivers.serial_port.port import ports_there
 
-        for port, words in ports_there().items():
-            dialogue.report(f"found  {port} ({words})")
+        for port, description in ports_there().items():
+            dialogue.report(f"found  {port} ({description})")
     for name, port, text, connect in (
         ("supply", supply, "Serial port of the supply that drives the corrosion", _supply),
         ("climate", climate, "Serial port of a thermometer and hygrometer", _climate),
@@ -102,8 +102,8 @@ def _supply(port: str) -> dict[str, Any]:
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
-        return _plain(SupplyParameters(line=line, identity=_expected(there.identity())))
+    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as supply:
+        return _plain(SupplyParameters(line=line, identity=_expected(supply.identity())))
 
 
 def _climate(port: str) -> dict[str, Any]:
@@ -111,8 +111,8 @@ def _climate(port: str) -> dict[str, Any]:
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
-        return _plain(ClimateParameters(line=line, identity=_expected(there.identity())))
+    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as probe:
+        return _plain(ClimateParameters(line=line, identity=_expected(probe.identity())))
 
 
 def _expected(identity: Mapping[str, str]) -> str:

@@ -131,16 +131,16 @@ def systemd_units(
             ],
         )
     return {
-        f"{name}-{word}.service": _unit(
-            f"solimon, {what}: {settings.name}",
-            _command(word, config, folder),
+        f"{name}-{command}.service": _unit(
+            f"solimon, {title}: {settings.name}",
+            _command(command, config, folder),
             config.parent,
             folder,
             user,
             unit,
             service,
         )
-        for word, (what, unit, service) in units.items()
+        for command, (title, unit, service) in units.items()
     }
 
 
@@ -181,11 +181,11 @@ def _unit(
     ).join(["", "\n"])
 
 
-def _command(word: str, config: PurePath, folder: PurePath) -> list[str]:
+def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
     # After its last set the recorder stays and takes orders.
     """Return the command line of a service."""
-    linger = ["--linger"] if word == "record" else []
-    return [*PROGRAM, word, str(config), "--data-dir", str(folder), *linger]
+    linger = ["--linger"] if command == "record" else []
+    return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
 
 def _plain(text: str) -> str:
@@ -244,14 +244,14 @@ def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
     """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
-    words = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
+    commands = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
     return {
         f"{task}.xml": TASK.format(
-            title=escape(f"solimon {word}: {settings.name}"),
+            title=escape(f"solimon {command}: {settings.name}"),
             user=escape(user),
             program=escape(sys.executable),
-            arguments=escape(subprocess.list2cmdline(_command(word, config, folder)[1:])),
+            arguments=escape(subprocess.list2cmdline(_command(command, config, folder)[1:])),
             at=escape(str(config.parent)),
         )
-        for task, word in words.items()
+        for task, command in commands.items()
     }

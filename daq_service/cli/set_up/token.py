@@ -59,9 +59,11 @@ def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     return tokens_file(settings.web, folder), Audit(folder)
 
 
-def _audit(audit: Audit, what: str, **arguments: Any) -> None:
+def _audit(audit: Audit, action: str, **arguments: Any) -> None:
     """Add the command to the audit log."""
-    audit.tell(who=user_name(), role=CLAIMED, source=TERMINAL, what=what, arguments=arguments, result="done")
+    audit.tell(
+        who=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
+    )
 
 
 def _shown(token: Token) -> dict[str, Any]:

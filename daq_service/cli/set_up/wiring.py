@@ -31,8 +31,8 @@ def coil_counters(board: BoardFacts) -> list[str]:
 def home_terminal(board: BoardFacts, counter: str) -> str:
     """Return the default terminal of a counter's pulse for the board's family."""
     number = int(counter[3:])
-    own = f"Ctr{number}Out"
-    return own if f"/{board.name}/{own}" in board.terminals else f"PFI{12 + number}"
+    counter_output = f"Ctr{number}Out"
+    return counter_output if f"/{board.name}/{counter_output}" in board.terminals else f"PFI{12 + number}"
 
 
 def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:

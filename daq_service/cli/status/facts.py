@@ -87,11 +87,11 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
                     name: {
-                        **_newest_rows(word),
-                        **_present_state(folder, settings, catalogue, fresh, word),
+                        **_newest_rows(latest),
+                        **_present_state(folder, settings, catalogue, fresh, latest),
                         "baseline": _rate_of(baselines.get(name)),
                     }
-                    for name, word in (
+                    for name, latest in (
                         (name, fresh.standing_word(found))
                         for name, found in catalogue.positions_state().items()
                     )
@@ -140,15 +140,15 @@ def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     return {FILE_NAME: lacking} if lacking else {}
 
 
-def _newest_rows(word: LatestRows) -> dict[str, Any]:
+def _newest_rows(latest: LatestRows) -> dict[str, Any]:
     """Return the newest rows of a position."""
-    rows = ("last_set", "last_feature", "last_verdict", "last_thickness")
-    rows_by_name = {name: None if (row := getattr(word, name)) is None else values(row) for name in rows}
+    names = ("last_set", "last_feature", "last_verdict", "last_thickness")
+    rows_by_name = {name: None if (row := getattr(latest, name)) is None else values(row) for name in names}
     return {
-        "position": word.position,
-        "method": word.method,
+        "position": latest.position,
+        "method": latest.method,
         **rows_by_name,
-        "active_alarms": [values(row) for row in word.active_alarms],
+        "active_alarms": [values(row) for row in latest.active_alarms],
     }
 
 
@@ -199,12 +199,12 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
         assessments = catalogue.rows(AssessmentRow, position=newest.position, set_index=newest.set_index)
         result = asdict(confirmed(newest, assessments[0] if assessments else None))
         last = {"position": newest.position, **result, "age_h": fresh.age_h(newest.due_h)}
-    asked, most = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
+    requested, maximum = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
     return {
         "sets": len(rows),
         "last": last,
         "left_today": {
-            name: max(0, most - n_today(name, asked, fresh.now_h))
+            name: max(0, maximum - n_today(name, requested, fresh.now_h))
             for name, place in settings.positions.items()
             if place.method == SOLITARY_WAVE
         },

@@ -86,8 +86,8 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
         yield "on hold", f"{facts['held']}; nothing strikes until it is released", "yellow"
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
-        left = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
-        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{left})", "yellow"
+        remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
+        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{remaining})", "yellow"
     counts = facts["counts"]
     if counts is None:
         yield "", "no data yet", ""
@@ -103,9 +103,9 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     yield "confirm", _confirmations(facts["confirmations"]), ""
     for text in _gaps(facts["gaps"]):
         yield "gap", text, "yellow"
-    for file, what in facts["lost"].items():
-        remedy = "" if "solimon" in what else "; solimon repair --from BACKUP brings it back"
-        yield "LOST", f"{file} {what}{remedy}", "bold red"
+    for file, problem in facts["lost"].items():
+        remedy = "" if "solimon" in problem else "; solimon repair --from BACKUP brings it back"
+        yield "LOST", f"{file} {problem}{remedy}", "bold red"
     yield from (("baseline", text, "") for text in _baselines(facts["positions"]))
     yield from (("verdict", *text) for text in _assessments(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
@@ -147,18 +147,18 @@ def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[s
 
 def _confirmations(facts: Mapping[str, Any]) -> str:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
-    left = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
+    remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
     last_text = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
-    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {left}{last_text}"
+    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {remaining}{last_text}"
 
 
 def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield adjacent gaps of one cause in one line."""
-    for (state, cause, where), some in groupby(
+    for (state, cause, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
     ):
-        alike = list(some)
+        alike = list(group)
         first, last = alike[0], alike[-1]
         names = (
             f"set {first['set_index']}"

@@ -99,8 +99,8 @@ def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
     firsts: list[Task] = []
     others: list[Task] = []
     for chains in plates.values():
-        together = [row for members in chains.values() for row in members]
-        tasks = [together[k : k + size] for k in range(0, len(together), size)]
+        rows_of_plate = [row for members in chains.values() for row in members]
+        tasks = [rows_of_plate[k : k + size] for k in range(0, len(rows_of_plate), size)]
         firsts.append(tasks[0])
         others += tasks[1:]
     return [*firsts, *others]

@@ -108,14 +108,14 @@ def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
             table = table[name]
         table[path[-1]] = value
     try:
-        made = _ADAPTERS[type(section)].validate_python(content)
+        section_changed = _ADAPTERS[type(section)].validate_python(content)
     except ValidationError as error:
         raise ValueError(_explained(error)) from error
     for path, value in changes.items():
         # pydantic accepts true for 1.0, which is never intended.
-        if isinstance(value, bool) and not isinstance(value_at(made, path), bool):
+        if isinstance(value, bool) and not isinstance(value_at(section_changed, path), bool):
             raise ValueError(f"{'.'.join(path)} is {str(value).lower()}; it must be a number or a name")
-    return made
+    return section_changed
 
 
 def value_at(section: Any, path: tuple[str, ...]) -> Any:

@@ -147,10 +147,10 @@ def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) ->
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
-            made = changed(bases[name], changes)
+            section_made = changed(bases[name], changes)
         except ValueError as error:
             return None, "", f"{name}: {error}"
-        return made, _sha256(asdict(made)), ""
+        return section_made, _sha256(asdict(section_made)), ""
 
     for index, values in enumerate(combined):
         parts = {name: section(name, json.dumps([values[k] for k in places[name]])) for name in SECTIONS}
@@ -161,7 +161,7 @@ def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) ->
         yield Row(
             index=index,
             values=tuple(value_at(parts[path[0]][0], path[1:]) for path in paths),
-            specimen=tuple(made for made, _, _ in parts.values()),
+            specimen=tuple(section_made for section_made, _, _ in parts.values()),
             key=_sha256([model, code_version(), *(text for _, text, _ in parts.values())]),
         )
 

@@ -74,8 +74,8 @@ class Progress:
         if computed == 0 or elapsed <= 0.0:
             return text
         rate = computed / elapsed
-        left = (self._total - self._done) / rate
-        return f"{text}, {rate:.3g} a second, {_duration(left)} left"
+        remaining_s = (self._total - self._done) / rate
+        return f"{text}, {rate:.3g} a second, {_duration(remaining_s)} left"
 
 
 def _duration(seconds: float) -> str:

@@ -96,12 +96,12 @@ def _outcomes(
             workers = workers_of(executor, options.workers)
             compute(plan, missing, executor, workers=workers, keep=keep, stop=stop)
     if len(outcomes) < len(plan.rows):
-        kept = (
+        message = (
             "nothing is kept without --out"
             if work is None
             else f"{len(outcomes)} of {len(plan.rows)} rows are kept in {work.path}; the same command goes on"
         )
-        click.echo(kept, err=True)
+        click.echo(message, err=True)
         raise KeyboardInterrupt
     return [outcomes[row.index] for row in plan.rows]
 

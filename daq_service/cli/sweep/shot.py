@@ -95,7 +95,7 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
 
 
 def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
-    nothing = (math.nan,) * len(RESULTS[model])
+    no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":
             found, force = zener_numbers(*specimen), None
@@ -103,16 +103,16 @@ def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Out
             force = coupled_shot(*specimen)
             found = coupled_numbers(force)
     except SpecimenError as error:
-        return Outcome(index=index, numbers=nothing, status=f"{INVALID}{error}")
+        return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
     except (SimulatorError, np.linalg.LinAlgError) as error:
-        return Outcome(index=index, numbers=nothing, status=str(error))
-    kept = force if waveforms else None
+        return Outcome(index=index, numbers=no_numbers, status=str(error))
+    stored_force = force if waveforms else None
     return Outcome(
         index=index,
         numbers=tuple(math.nan if found[name] is None else found[name] for name in RESULTS[model]),
         status=NO_REFLECTION if found["tof_us"] is None else OK,
-        force_n=None if kept is None else kept.force_n,
-        sample_interval_s=math.nan if kept is None else float(kept.time_s[1]),
+        force_n=None if stored_force is None else stored_force.force_n,
+        sample_interval_s=math.nan if stored_force is None else float(stored_force.time_s[1]),
     )
 
 

@@ -66,8 +66,10 @@ def restart_table(evidence: Evidence) -> Table:
 def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield time span, restarts and unplanned ends."""
     quantity, recorder_starts = partial(Quantity, "Recorder"), starts(evidence)
-    died = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
-    gone = evidence.recorder.word in ("silent", "absent") and not evidence.is_copy and bool(recorder_starts)
+    n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
+    is_gone = (
+        evidence.recorder.word in ("silent", "absent") and not evidence.is_copy and bool(recorder_starts)
+    )
     yield quantity(
         "span_h",
         "time that this certificate covers",
@@ -82,7 +84,7 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
         "ends without a word: crash, kill, power",
         "1",
         "starts that no farewell of the recorder before precedes, and a last one that is silent now",
-        died + gone,
+        n_crashes + is_gone,
     )
 
 

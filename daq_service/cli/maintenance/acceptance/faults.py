@@ -53,10 +53,12 @@ def fault_table(evidence: Evidence) -> Table:
     for fault in faults(evidence):
         kinds[fault.kind].append(fault)
     rows = []
-    for kind, its in sorted(kinds.items()):
-        hours = [((fault.until_ns or evidence.now_ns) - fault.since_ns) / NS_PER_H for fault in its]
-        standing = sum(fault.until_ns is None for fault in its)
-        rows.append((kind, len(its), max(hours), sum(hours), standing, its[-1].message))
+    for kind, faults_of_kind in sorted(kinds.items()):
+        hours = [
+            ((fault.until_ns or evidence.now_ns) - fault.since_ns) / NS_PER_H for fault in faults_of_kind
+        ]
+        standing = sum(fault.until_ns is None for fault in faults_of_kind)
+        rows.append((kind, len(faults_of_kind), max(hours), sum(hours), standing, faults_of_kind[-1].message))
     return Table(
         name="faults",
         title="Faults: alarms of instruments, disk, data and clock",

@@ -53,5 +53,5 @@ def _scale(series: Series) -> tuple[float, str]:
     """Return scale and unit for a series."""
     if series.unit != "B":
         return 1.0, series.unit
-    most = max(abs(value) for value in series.values)
-    return next(((scale, name) for scale, name in SCALES if most >= scale), (1.0, "B"))
+    maximum = max(abs(value) for value in series.values)
+    return next(((scale, name) for scale, name in SCALES if maximum >= scale), (1.0, "B"))

@@ -50,7 +50,7 @@ _MARKS = {"pass": "✓", "fail": "✗", "undecided": "?", "does not apply": "·"
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
-def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
+def page(report: Certificate, pictures: Mapping[str, bytes]) -> bytes:
     """Return the HTML of the report.
 
     Parameters
@@ -58,31 +58,34 @@ def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
     pictures
         PNG of each series that has values, by its name.
     """
-    title = f"Certificate of the test {made.identity['test']}"
-    quantities = groupby(made.quantities, key=lambda item: item.section)
+    title = f"Certificate of the test {report.identity['test']}"
+    quantities = groupby(report.quantities, key=lambda item: item.section)
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
         f"<header><h1>{escape(title)}</h1>",
-        f"<p class='note'>Made at {made.made_utc} by {escape(made.made_by)}</p></header>",
-        f"<p class='verdict {made.outcome}'><b>{made.outcome}</b><span>{_WORDS[made.outcome]}</span></p>",
-        *(f"<p class='note'>{escape(note)}</p>" for note in made.notes),
+        f"<p class='note'>Made at {report.made_utc} by {escape(report.made_by)}</p></header>",
+        (
+            f"<p class='verdict {report.outcome}'><b>{report.outcome}</b>"
+            f"<span>{_WORDS[report.outcome]}</span></p>"
+        ),
+        *(f"<p class='note'>{escape(note)}</p>" for note in report.notes),
         "<section id='criteria'><h2>Criteria</h2>",
         _table(
             ("", "criterion", "limit", "value", "because"),
-            (_criterion_row(item) for item in made.comparisons),
+            (_criterion_row(item) for item in report.comparisons),
             numbers=(2, 3),
         ),
         "</section><section id='identity'><h2>What was tested</h2>",
-        _table((), ((_cell(name), _cell(value)) for name, value in made.identity.items())),
+        _table((), ((_cell(name), _cell(value)) for name, value in report.identity.items())),
         "</section><section id='pictures'><h2>Over the hours of the test</h2>",
         "<p class='note'>Gaps are shaded.</p><div class='pictures'>",
-        *(_figure(item, pictures.get(item.name)) for item in made.series),
+        *(_figure(item, pictures.get(item.name)) for item in report.series),
         "</div></section><section id='numbers'><h2>Numbers</h2>",
-        *(_section(name, its) for name, its in quantities),
+        *(_section(name, quantities_of_section) for name, quantities_of_section in quantities),
         "</section><section id='events'><h2>What happened</h2>",
-        *(_happened(table) for table in made.tables),
+        *(_happened(table) for table in report.tables),
         "</section></body></html>\n",
     ]
     return "\n".join(parts).encode()
@@ -100,12 +103,12 @@ def shown(unit: str, *values: float | int | None) -> str:
     if unit.startswith("B"):
         scale, name = next(((s, name) for s, name in SCALES if abs(value) >= s), (1.0, "B"))
         scaled = f"{name}{unit[1:]}"
-    words = [
+    numbers = [
         f"{item:,}" if isinstance(item, int) and scale == 1.0 else f"{item / scale:.4g}"
         for item in values
         if item is not None
     ]
-    text = f"{words[0]} ({' to '.join(words[1:])})" if len(words) == 1 + len(ends) > 1 else words[0]
+    text = f"{numbers[0]} ({' to '.join(numbers[1:])})" if len(numbers) == 1 + len(ends) > 1 else numbers[0]
     return text if unit == "1" else f"{text} {scaled.removeprefix('1 ')}"
 
 
@@ -134,7 +137,7 @@ def _criterion_row(item: Comparison) -> tuple[str, ...]:
     )
 
 
-def _section(name: str, its: Iterable[Quantity]) -> str:
+def _section(name: str, quantities: Iterable[Quantity]) -> str:
     """Return the HTML of a section of quantities."""
     rows = (
         (
@@ -143,7 +146,7 @@ def _section(name: str, its: Iterable[Quantity]) -> str:
             f"<span class='aside'>{escape(item.how)}</span>"
             + (f"<br><b>{escape(item.missing)}</b>" if item.missing else ""),
         )
-        for item in its
+        for item in quantities
     )
     return f"<h3>{escape(name)}</h3>" + _table(("what", "value", "how it was found"), rows, numbers=(1,))
 

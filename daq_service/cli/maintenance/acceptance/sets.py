@@ -68,8 +68,10 @@ def gaps(evidence: Evidence) -> list[Gap]:
 def set_quantities(evidence: Evidence) -> list[Quantity]:
     """Return the numbers of sets and records: planned, taken, valid, missed; gaps."""
     rows, found = by_set(evidence.sets), gaps(evidence)
-    taken = {index: its for index, its in rows.items() if any(row.n_taken for row in its)}
-    partial = [its for its in taken.values() if any(row.state in ("partial", "missed") for row in its)]
+    taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
+    partial = [
+        set_rows for set_rows in taken.values() if any(row.state in ("partial", "missed") for row in set_rows)
+    ]
     missed = sum(len(gap.sets) for gap in found)
     untold = [due for due in evidence.planned[: evidence.due] if due.set_index not in rows]
     of_a_set = sum(
@@ -167,13 +169,13 @@ def shortfall_table(evidence: Evidence) -> Table:
     rows = [
         (
             state,
-            ", ".join(sorted({row.position for row in its})),
-            len({row.set_index for row in its}),
-            sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in its),
-            its[0].due_h,
+            ", ".join(sorted({row.position for row in set_rows})),
+            len({row.set_index for row in set_rows}),
+            sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in set_rows),
+            set_rows[0].due_h,
             cause,
         )
-        for (state, cause), its in found.items()
+        for (state, cause), set_rows in found.items()
     ]
     return Table(
         name="shortfalls",

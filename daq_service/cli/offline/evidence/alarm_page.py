@@ -28,22 +28,24 @@ def title_of(found: Explained) -> str:
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
 
-def comes_out_again(found: Explained) -> str:
+def recomputation_text(found: Explained) -> str:
     """Describe the result of the recomputation."""
-    again = found.again
-    if again is None:
+    recomputed = found.again
+    if recomputed is None:
         return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
-    read = f"{again.n_records} records of {again.n_sets} sets were judged again"
+    read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were judged again"
     if found.agrees:
         return (
             f"{read}, and the same set raises the same alarm: features, baseline, limits and verdicts are "
             "what is stored, to the last digit."
         )
-    same = any(one.set_index == found.alarm.raised_set_index for one in again.raised)
-    others = ", ".join(f"set {one.set_index}" for one in again.raised)
+    same = any(one.set_index == found.alarm.raised_set_index for one in recomputed.raised)
+    others = ", ".join(f"set {one.set_index}" for one in recomputed.raised)
     elsewhere = f"it is raised with {others}" if others else "no set raises it"
     then = "the same set raises it" if same else elsewhere
-    return f"{read}, and {then}; but what is stored differs in the {len(again.differences)} points below."
+    return (
+        f"{read}, and {then}; but what is stored differs in the {len(recomputed.differences)} points below."
+    )
 
 
 def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
@@ -57,7 +59,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
         "Its history": [_history(found)],
         "Proof, as stored": [table("", (), _rows(alarm.proof))],
     }
-    made = (
+    introduction = (
         f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
         f"{found.experiment.name}; severity {alarm.severity}, now {alarm.state.replace('_', ' ')}. "
         f"Explained by solimon {version('solimon')}."
@@ -66,7 +68,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(made)}</p></header><main>",
+        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(introduction)}</p></header><main>",
     ]
     for heading, content in sections.items():
         if content:
@@ -76,7 +78,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 def facts_of(found: Explained) -> dict[str, Any]:
     """Return all contents of the page, and the rows behind it, as plain values."""
-    again, guidance = found.again, GUIDANCE.get(found.alarm.kind)
+    recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
         "configuration_hash": found.experiment.configuration_hash,
@@ -88,23 +90,23 @@ def facts_of(found: Explained) -> dict[str, Any]:
         "history": [transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
-        "told": comes_out_again(found),
-        "recomputed": None if again is None else _facts_of(again),
+        "told": recomputation_text(found),
+        "recomputed": None if recomputed is None else _facts_of(recomputed),
     }
 
 
-def _facts_of(again: Recomputed) -> dict[str, Any]:
+def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
     """Return the recomputed values."""
-    pulses = again.pulses
+    pulses = recomputed.pulses
     return {
-        "n_sets": again.n_sets,
-        "n_records": again.n_records,
-        "raised": [asdict(one) for one in again.raised],
-        "differences": [asdict(one) for one in again.differences],
-        "baseline": None if again.baseline is None else values(again.baseline),
-        "verdicts": [values(row) for row in again.assessments],
-        "measured": [values(row) for row in again.measured],
-        "shots_without_psw": [{"set_index": index, "n": n} for index, n in again.silent.items()],
+        "n_sets": recomputed.n_sets,
+        "n_records": recomputed.n_records,
+        "raised": [asdict(one) for one in recomputed.raised],
+        "differences": [asdict(one) for one in recomputed.differences],
+        "baseline": None if recomputed.baseline is None else values(recomputed.baseline),
+        "verdicts": [values(row) for row in recomputed.assessments],
+        "measured": [values(row) for row in recomputed.measured],
+        "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
     }
 
@@ -135,9 +137,9 @@ def _figure(picture: Picture) -> str:
 
 def _recomputation_section(found: Explained) -> list[str]:
     """Return the HTML of the recomputation's result."""
-    parts = [f"<p>{escape(comes_out_again(found))}</p>"]
-    again = found.again
-    if again is None:
+    parts = [f"<p>{escape(recomputation_text(found))}</p>"]
+    recomputed = found.again
+    if recomputed is None:
         return parts
     rows = [
         (
@@ -147,12 +149,12 @@ def _recomputation_section(found: Explained) -> list[str]:
             plain(one.stored),
             plain(one.again),
         )
-        for one in again.differences
+        for one in recomputed.differences
     ]
     head = ("What", "Sets", "First set", "Stored", "Recomputed")
     parts.append(table("Values are those of the first set that differs", head, rows))
     if assessment := next(
-        (r for r in again.assessments if r.set_index == found.alarm.raised_set_index), None
+        (r for r in recomputed.assessments if r.set_index == found.alarm.raised_set_index), None
     ):
         row = {
             name: value for name, value in values(assessment).items() if name not in (*NOT_COMPARED, STATE)

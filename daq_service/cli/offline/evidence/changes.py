@@ -115,11 +115,13 @@ def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChang
     for place in sorted({*before, *after}):
         old, new = before.get(place, {}), after.get(place, {})
         kept += [new[index] for index in sorted(old.keys() & new.keys())]
-        gone = [old[index] for index in sorted(old.keys() - new.keys())]
+        disappeared = [old[index] for index in sorted(old.keys() - new.keys())]
         added = [new[index] for index in sorted(new.keys() - old.keys())]
-        n_moved = min(len(gone), len(added))
-        moved += [Moved(stored=a, again=b) for a, b in zip(gone[:n_moved], added[:n_moved], strict=True)]
-        go += gone[n_moved:]
+        n_moved = min(len(disappeared), len(added))
+        moved += [
+            Moved(stored=a, again=b) for a, b in zip(disappeared[:n_moved], added[:n_moved], strict=True)
+        ]
+        go += disappeared[n_moved:]
         come += added[n_moved:]
     return AlarmChanges(kept=kept, come=come, go=go, moved=moved)
 
@@ -153,11 +155,11 @@ def differences(
         columns: dict[tuple[str, str], list[tuple[int, Any, Any]]] = {}
         for key in sorted({*old, *new}):
             set_index, _ = old.get(key) or new[key]
-            for name, left, right in differing_columns(
+            for name, stored_value, new_value in differing_columns(
                 old.get(key, (0, None))[1], new.get(key, (0, None))[1]
             ):
                 if name.partition(".")[0] in known or name == "row":
-                    columns.setdefault((key[0], name), []).append((set_index, left, right))
+                    columns.setdefault((key[0], name), []).append((set_index, stored_value, new_value))
         found += [
             Difference(
                 table=kind.__name__.removesuffix("Row").lower(),
@@ -201,13 +203,13 @@ def differing_columns(
         yield "row", presence[0], presence[1]
         return
     for name in stored:
-        left, right = _plain(stored[name]), _plain(again[name])
-        if isinstance(left, Mapping) and isinstance(right, Mapping):
-            for key in {**left, **right}:
-                if left.get(key) != right.get(key):
-                    yield f"{name}.{key}", left.get(key), right.get(key)
-        elif left != right:
-            yield name, left, right
+        stored_value, new_value = _plain(stored[name]), _plain(again[name])
+        if isinstance(stored_value, Mapping) and isinstance(new_value, Mapping):
+            for key in {**stored_value, **new_value}:
+                if stored_value.get(key) != new_value.get(key):
+                    yield f"{name}.{key}", stored_value.get(key), new_value.get(key)
+        elif stored_value != new_value:
+            yield name, stored_value, new_value
 
 
 def _plain(value: Any) -> Any:

@@ -155,8 +155,8 @@ def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, tot
 def _unknown(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
     """Return the message for an unknown alarm."""
     alarm_texts = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
-    there = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
-    return f"there is no alarm {alarm_id}; {there}"
+    available = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
+    return f"there is no alarm {alarm_id}; {available}"
 
 
 def _not_of_records(alarm: AlarmRow) -> str:

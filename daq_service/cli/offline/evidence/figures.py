@@ -45,12 +45,12 @@ def pictures_of(found: Explained) -> list[Picture]:
     """Draw the evidence of the alarm; nothing without a recomputation."""
     if found.again is None:
         return []
-    drawn = [
+    pictures = [
         _waves(found, found.again.pulses) if found.again.pulses else None,
         _over_sets(found, found.again),
     ]
-    drawn.append(_contributions(found.alarm.proof.get("contributions") or {}))
-    return [picture for picture in drawn if picture is not None]
+    pictures.append(_contributions(found.alarm.proof.get("contributions") or {}))
+    return [picture for picture in pictures if picture is not None]
 
 
 def _waves(found: Explained, pulses: Pulses) -> Picture:
@@ -82,13 +82,13 @@ class _Panel:
     limits: Mapping[str, float]
 
 
-def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
+def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
     """Draw the quantities of all sets up to the alarm."""
-    panels = [panel for panel in _panels(found, again) if panel.values]
+    panels = [panel for panel in _panels(found, recomputed) if panel.values]
     if not panels:
         return None
-    baseline_ends_h = max((row.due_h for row in again.assessments if row.in_baseline), default=None)
-    raised_h = next(row.due_h for row in again.sets if row.set_index == found.alarm.raised_set_index)
+    baseline_ends_h = max((row.due_h for row in recomputed.assessments if row.in_baseline), default=None)
+    raised_h = next(row.due_h for row in recomputed.sets if row.set_index == found.alarm.raised_set_index)
     with mpl.rc_context(RULES):
         figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * len(panels)), layout="constrained")
         axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
@@ -109,10 +109,10 @@ def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
 def _draw(axis: Axes, panel: _Panel) -> None:
     """Draw a panel."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
-    for (words, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
-        axis.axhline(limit, label=words, **style)
-    least = min(panel.limits.values(), default=0.0)
-    if least > 0.0 and max(panel.values) > LOG_FROM * least:
+    for (label, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
+        axis.axhline(limit, label=label, **style)
+    smallest_limit = min(panel.limits.values(), default=0.0)
+    if smallest_limit > 0.0 and max(panel.values) > LOG_FROM * smallest_limit:
         axis.set_yscale("log")
     axis.set_ylabel(panel.label)
 
@@ -124,26 +124,26 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 )
 
 
-def _panels(found: Explained, again: Recomputed) -> Iterable[_Panel]:
+def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
     """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
     proof, rule = found.alarm.proof, found.alarm.proof.get("rule") or {}
     if found.alarm.kind == "thickness":
-        read = [(row.due_h, getattr(row, "thickness_m", None)) for row in again.measured]
+        read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
         yield _panel("wall (mm)", read, {"limit": proof.get("limit_m")}, 1e3)
     elif found.alarm.kind == "hole":
-        counted = [(row.due_h, float(again.silent.get(row.set_index, 0))) for row in again.sets]
+        counted = [(row.due_h, float(recomputed.silent.get(row.set_index, 0))) for row in recomputed.sets]
         yield _panel("shots without reflected wave", counted, {"alarm from here": rule.get("shots")})
     elif "minimum_valid_shots" in proof:
-        counted = [(row.due_h, float(row.n_valid)) for row in again.sets if row.n_planned]
+        counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
         yield _panel("valid shots", counted, {"needed": proof["minimum_valid_shots"]})
-    elif again.baseline is not None:
-        limits = limits_by_name(again.baseline)
-        asked = (str(proof.get("limit_name")), found.settings.novelty.limit, CHART)
-        names = [name for name in dict.fromkeys(asked) if name in LIMITS]
+    elif recomputed.baseline is not None:
+        limits = limits_by_name(recomputed.baseline)
+        limit_names = (str(proof.get("limit_name")), found.settings.novelty.limit, CHART)
+        names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}
             a_name = next(iter(of_it))
-            values = [(row.due_h, statistic_of(row, a_name)) for row in again.assessments]
+            values = [(row.due_h, statistic_of(row, a_name)) for row in recomputed.assessments]
             label = "squared distance" if statistic == DISTANCE else statistic.replace("_", " ")
             yield _panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
 
@@ -155,12 +155,12 @@ def _panel(
     factor: float = 1.0,
 ) -> _Panel:
     """Return a panel without missing values."""
-    there = [(hour, factor * value) for hour, value in points if value is not None]
+    present = [(hour, factor * value) for hour, value in points if value is not None]
     return _Panel(
         label=label,
-        hours=[hour for hour, _ in there],
-        values=[value for _, value in there],
-        limits={words: factor * limit for words, limit in limits.items() if limit is not None},
+        hours=[hour for hour, _ in present],
+        values=[value for _, value in present],
+        limits={label: factor * limit for label, limit in limits.items() if limit is not None},
     )
 
 

@@ -70,9 +70,11 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
     UsageError
         A value is refused: key, value, bound.
     """
-    kept = flattened(renamed(configuration)).items()
+    stored_values = flattened(renamed(configuration)).items()
     try:
-        return stored_settings(nested({p: v for p, v in kept if not _replaced(p, given)} | dict(given)))
+        return stored_settings(
+            nested({p: v for p, v in stored_values if not _replaced(p, given)} | dict(given))
+        )
     except ValidationError as error:
         lines = [
             f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')} "

@@ -213,8 +213,8 @@ class _Reassessment:
             step = {name: getattr(stored, name) for name in LIFE}
             self._again.restore([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            its = planned(stored.position, self._settings, self._again.baseline(stored.position))
-            last_set = stored.first_set_index + its.last_set - its.first_set
+            baseline_plan = planned(stored.position, self._settings, self._again.baseline(stored.position))
+            last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
             self._again.restore([replace(stored, last_set_index=last_set)])
         self._assessor.renewed(stored.position)
 

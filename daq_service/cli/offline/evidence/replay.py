@@ -178,19 +178,22 @@ def replayed(
         )
 
 
-def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
+def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
     """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
-    found = again.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
+    found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
-    its, last_set = planned(position, settings, again.baseline(position)), max(found["set_index"])
+    sets, last_set = (
+        planned(position, settings, recomputed.baseline(position)),
+        max(found["set_index"]),
+    )
     yield NotAssessed(
         position=position,
-        first_set_index=its.first_set,
-        last_set_index=its.last_set,
+        first_set_index=sets.first_set,
+        last_set_index=sets.last_set,
         last_set=last_set,
         told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
-        f"{its.first_set} to {its.last_set} the baseline, and the last one there is set {last_set}; "
+        f"{sets.first_set} to {sets.last_set} the baseline, and the last one there is set {last_set}; "
         "give fewer hours",
     )
 
@@ -219,9 +222,9 @@ def in_words(found: Replayed) -> Iterable[str]:
             f"moves  {one.stored.position} {one.stored.kind}: {_where(one.stored)} -> {_where(one.again)}, "
             f"{abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
         )
-    for word, some in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
-        for onset in some:
-            yield f"{word:<6} {onset.position} {onset.kind}: {_where(onset)}"
+    for change, onsets_of_change in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
+        for onset in onsets_of_change:
+            yield f"{change:<6} {onset.position} {onset.kind}: {_where(onset)}"
     for row in found.differences:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
