@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetReference
 from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
-from daq_service.archive.waterfall.tile_files import keep_file, tiles_of
+from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_file
 from daq_service.archive.waterfall.tiles import Tiles, n_bytes
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -99,8 +99,8 @@ def with_numpy(
 
 
 def from_tiles(tiles: Tiles, folder_reader: WaterfallReader, index: _Index, wanted: Wanted) -> Picture:
-    """Draw the waterfall as the service does."""
-    picture = folder_reader.picture(tiles, index, wanted)
+    """Draw it as the service does."""
+    picture = folder_reader.figure_of_sets(tiles, index, wanted)
     if picture.pending:
         raise SystemExit("the tiles lack a set")
     return picture
@@ -132,7 +132,7 @@ def main() -> None:
             compact_set(folder, index)
             archive.settle(index)
             start = time.perf_counter()
-            keep_file(folder, EXPERIMENT, files[index], {})
+            write_tiles_of_file(folder, EXPERIMENT, files[index], {})
             kept_s += time.perf_counter() - start
         tiles = tiles_of(folder, EXPERIMENT, archive.read_set(files[0]), POSITION, "trigger")
         assert tiles is not None

@@ -1,7 +1,7 @@
-"""The archive: every acknowledged shot, one NeXus HDF5 file a set; the only door to HDF5.
+"""The archive: every acknowledged shot, one NeXus HDF5 file a set; the only package that uses HDF5.
 
-`Archive.store_set` returns when a set is durable, never before. `protocol` says what an archive is, `writer`
-and `reader` keep it in a folder; whoever reads takes a `SetReader` and a set's reference.
+`Archive.store_set` returns when a set is durable, never before. `protocol` defines an archive, `writer`
+and `reader` keep it in a folder; readers use a `SetReader` and a set's reference.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Bytes of a chunk as HDF5's filters shuffle, deflate and Fletcher32 would read them.
+"""Encode chunks for HDF5's filters shuffle, deflate and Fletcher32.
 
 HDF5 deflates the shuffled bytes as one run. The low bytes of a record are mostly noise, which deflate
 searches in vain and whose statistics spoil those of the high bytes. Here each plane of bytes (all low
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 GZIP_LEVEL = 1
 _PROBE_BYTES = 4096
-"""So much of a plane tells whether deflate shortens it."""
+"""Length of the sample of a plane that decides whether to deflate it."""
 _NOISE_BITS_PER_BYTE = 7.75
 _LONGEST_STORED_BYTES = 65_535
 _ZLIB_HEADER = b"\x78\x01"
@@ -28,7 +28,7 @@ _ZLIB_HEADER = b"\x78\x01"
 
 
 def filtered_chunk(values: NDArray[Any]) -> bytes:
-    """Shuffle, deflate and append the checksum.
+    """Shuffle and deflate a chunk and append its checksum.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def filtered_chunk(values: NDArray[Any]) -> bytes:
 
 @lru_cache(maxsize=8)
 def _deflated(content: bytes) -> bytes:
-    """Zlib stream of what is no record: time axes and provenance, the same set after set."""
+    """Return the zlib stream of data other than records: time axes and provenance, equal in every set."""
     return zlib.compress(content, GZIP_LEVEL)
 
 
 def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
-    """Zlib stream of the planes one after the other, shape (n_planes, n_bytes)."""
+    """Return one zlib stream of all byte planes, shape (n_planes, n_bytes)."""
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
     checksum = zlib.adler32(b"")
@@ -57,7 +57,7 @@ def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
         content = plane.tobytes()
         checksum = zlib.adler32(content, checksum)
         if _is_noise(plane[:_PROBE_BYTES]):
-            parts.append(_stored(content, final=number == last))
+            parts.append(_stored_blocks(content, final=number == last))
         else:
             run = zlib.compressobj(GZIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
             parts += run.compress(content), run.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH)
@@ -66,22 +66,22 @@ def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
 
 
 def _is_noise(probe: NDArray[np.uint8]) -> bool:
-    """Whether the entropy of bytes is so high that deflate would shorten them by 3 % at the most."""
+    """Return whether the entropy is too high for deflate to save more than 3 %."""
     counts = np.bincount(probe, minlength=256)
-    bits = math.log2(probe.size) - float(_times_its_log2()[counts].sum()) / probe.size
+    bits = math.log2(probe.size) - float(_n_log2_n()[counts].sum()) / probe.size
     return bits > _NOISE_BITS_PER_BYTE
 
 
 @cache
-def _times_its_log2() -> NDArray[np.float64]:
-    """Tabulate n log2(n) of every count of a probe, shape (_PROBE_BYTES + 1,)."""
+def _n_log2_n() -> NDArray[np.float64]:
+    """Return n log2(n) for every count of a probe, shape (_PROBE_BYTES + 1,)."""
     n = np.arange(_PROBE_BYTES + 1.0)
     table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
     return table
 
 
-def _stored(content: bytes, *, final: bool) -> bytes:
-    """Deflate blocks that hold the bytes as they are."""
+def _stored_blocks(content: bytes, *, final: bool) -> bytes:
+    """Return deflate blocks that hold the bytes uncompressed."""
     parts: list[bytes] = []
     for first in range(0, len(content), _LONGEST_STORED_BYTES):
         part = content[first : first + _LONGEST_STORED_BYTES]
@@ -91,7 +91,7 @@ def _stored(content: bytes, *, final: bool) -> bytes:
 
 
 def fletcher32(content: bytes) -> int:
-    """HDF5's checksum: Fletcher's two sums of big-endian words of 16 bits, modulo 65535.
+    """Compute HDF5's checksum: Fletcher's two sums of big-endian 16-bit words, modulo 65535.
 
     An odd byte at the end is the high byte of a last word. A sum that is a multiple of 65535 is written as
     65535 unless every word is zero.
@@ -104,10 +104,11 @@ def fletcher32(content: bytes) -> int:
 
 
 def _countdown(size: int) -> NDArray[np.int64]:
-    """Return size, size - 1, ... 1."""
+    """Return the integers size, size - 1, ... 1."""
     return _longest_countdown(size.bit_length())[-size:] if size else np.zeros(0, dtype=np.int64)
 
 
 @lru_cache(maxsize=2)
 def _longest_countdown(bits: int) -> NDArray[np.int64]:
+    """Return a cached countdown that covers every size of so many bits."""
     return np.arange((1 << bits) - 1, 0, -1)

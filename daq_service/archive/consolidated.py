@@ -1,12 +1,12 @@
-"""One HDF5 file of a whole test: its records are views of the sets' files, its tables stand in it.
+"""Write one HDF5 file of a complete test: records are views of the sets' files, tables are copied.
 
 ::
 
     / NXroot                  @default=entry @creator @creator_version @solimon_consolidated_version
     /entry NXentry            @default=<the first group of strikes>, title, start_time, program_name
-      <position>_waveforms    NXdata: waveform[shot_id, time] in counts, and a column a shot of each table
+      <position>_waveforms    NXdata: waveform[shot_id, time] in counts, and the columns of each table by shot
       <position>_pulse_echo   NXdata: the same with record[shot_id, time]
-      <position>_sets         NXcollection: a row a set
+      <position>_sets         NXcollection: a row per set
       provenance              NXnote: JSON
 
 Records of a position that differ in rate, length or type go to groups of their own (``B_waveforms_2``).
@@ -48,7 +48,7 @@ Columns = Mapping[str, Column]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """What records of a position share that stand in one array."""
+    """Sampling parameters that the records of one array share."""
 
     position: str
     is_echo: bool
@@ -65,29 +65,29 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Block:
-    """Records of one set and one calibration, as they stand in its file.
+    """Records of one set and one calibration, as stored in its file.
 
     Attributes
     ----------
-    place
+    dataset
         Path of the array in the file, whose shape is (len(shot_ids), n_samples).
     """
 
     set_index: int
     file: SetReference
-    place: str
+    dataset: str
     shot_ids: Sequence[int]
     calibration: Calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Facts:
-    """What a consolidated file says of its test; texts, and JSON-ready provenance.
+    """Metadata of the test in a consolidated file; texts, and JSON-ready provenance.
 
     Attributes
     ----------
     maker_version, version
-        Of solimon: the one that makes the file, and the one that began the test.
+        Version of solimon that writes the file, and version that started the test.
     """
 
     title: str
@@ -99,14 +99,14 @@ class Facts:
 
 
 def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
-    """Look which arrays a set's file has; no record is read.
+    """List the record arrays of a set's file without reading the records.
 
     Raises
     ------
     CorruptArchiveError, SetNotFoundError
         The file cannot be read, or is not there.
     """
-    found = []
+    blocks = []
     with opened_set(folder / file) as entry:
         for name in group_names(entry):
             group = RecordGroup(entry, name)
@@ -121,12 +121,12 @@ def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
             block = Block(
                 set_index=int(read_field(entry.id, "set_index")),
                 file=file,
-                place=str(group.signal.name),
+                dataset=str(group.signal.name),
                 shot_ids=group.sequences,
                 calibration=group.calibration,
             )
-            found.append((sampling, block))
-    return found
+            blocks.append((sampling, block))
+    return blocks
 
 
 def consolidated_image(
@@ -136,16 +136,16 @@ def consolidated_image(
     shots: Mapping[Sampling, tuple[Sequence[Block], Columns]],
     sets: Mapping[str, Columns],
 ) -> bytes:
-    """Return the bytes of the file.
+    """Return the bytes of the consolidated file.
 
     Parameters
     ----------
     target, folder
-        Where it will lie, and the data folder: paths to the sets' files are relative to it.
+        Path of the new file, and the data folder: paths to the sets' files are relative to it.
     shots
-        Blocks in their order, and columns with a value a shot.
+        Blocks in their order, and columns with a value per shot.
     sets
-        By position: columns with a value a set, the first of them tells the sets apart.
+        By position: columns with a value per set, the first one identifies the set.
     """
     with image_file() as file:
         root = {
@@ -175,24 +175,29 @@ def consolidated_image(
 
 
 def _relative(target: Path, folder: Path) -> str:
-    """Path from the file's folder to the data folder; a whole one to another drive of Windows."""
-    here, there = target.parent.resolve(), folder.resolve()
-    return (Path(os.path.relpath(there, here)) if here.drive == there.drive else there).as_posix()
+    """Return the path from the file to the data folder; absolute if on another Windows drive."""
+    target_folder, data_folder = target.parent.resolve(), folder.resolve()
+    return (
+        Path(os.path.relpath(data_folder, target_folder))
+        if target_folder.drive == data_folder.drive
+        else data_folder
+    ).as_posix()
 
 
 def group_names_of(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
-    """Name of the group of each array."""
-    names, taken = dict[Sampling, str](), dict[str, int]()
+    """Return the name of each array's group."""
+    names, n_groups = dict[Sampling, str](), dict[str, int]()
     for sampling in samplings:
         base = f"{sampling.position}_{'pulse_echo' if sampling.is_echo else 'waveforms'}"
-        taken[base] = taken.get(base, 0) + 1
-        names[sampling] = base if taken[base] == 1 else f"{base}_{taken[base]}"
+        n_groups[base] = n_groups.get(base, 0) + 1
+        names[sampling] = base if n_groups[base] == 1 else f"{base}_{n_groups[base]}"
     return names
 
 
 def _add_shots(
-    entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, where: str
+    entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, folder: str
 ) -> None:
+    """Add the group of an array: virtual dataset, time axis, calibration and columns."""
     shot_ids = np.concatenate([np.asarray(block.shot_ids, dtype=np.int64) for block in blocks])
     signal = sampling.signal
     group = add_group(
@@ -206,11 +211,11 @@ def _add_shots(
     for block in blocks:
         shape = len(block.shot_ids), sampling.n_samples
         # HDF5 takes %b for a number of its own.
-        names = (name.replace("%", "%%") for name in (f"{where}/{block.file}", block.place))
+        names = (name.replace("%", "%%") for name in (f"{folder}/{block.file}", block.dataset))
         source = h5py.VirtualSource(*names, shape, sampling.dtype)
         layout[row : row + shape[0]] = source
         row += shape[0]
-    # What a reader shows of a set's file that is gone: no record reaches the lowest count throughout.
+    # Readers show this value where a set's file is missing: no real record is at the lowest count throughout.
     lowest = np.iinfo(sampling.dtype).min
     records = h5py.Group(group).create_virtual_dataset(signal, layout, fillvalue=lowest)
     set_attributes(records.id, {"units": "counts"})
@@ -221,7 +226,7 @@ def _add_shots(
 
 
 def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
-    """Add each shot's calibration: boards calibrate themselves during a test."""
+    """Add each shot's calibration: boards recalibrate themselves during a test."""
     length = max(block.calibration.coefficients_v.size for block in blocks)
     padded = [
         np.pad(b.calibration.coefficients_v, (0, length - b.calibration.coefficients_v.size)) for b in blocks
@@ -236,6 +241,7 @@ def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.
 
 
 def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID | None = None) -> None:
+    """Add a dataset per column with its unit; the first one is the axis unless given."""
     for name, values in columns.items():
         if axis is None:
             axis = add_field(group, name, values, is_axis=True)

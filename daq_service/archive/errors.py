@@ -5,9 +5,9 @@
     StorageError
     └── ArchiveError
         ├── ArchiveWriteError      full or failing disk, read-only folder: the set is not stored
-        ├── ArchiveReadError       no right, no free handle: nothing is known of the file
+        ├── ArchiveReadError       no permission, no free handle: the file may be sound
         ├── ConflictingSetError    another file of this set is there already
-        ├── CorruptArchiveError    a file is damaged or no set of ours; names the shot
+        ├── CorruptArchiveError    a file is corrupt or is not a set; names the shot
         └── SetNotFoundError       no such file or shot
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 from daq_service.errors import StorageError, StorageUnavailableError
 
 BACK = "bring it back from a backup: solimon repair --from BACKUP"
-"""What helps a file that is damaged or gone."""
+"""Remedy for a corrupt or missing file."""
 
 
 class ArchiveError(StorageError):
@@ -24,11 +24,11 @@ class ArchiveError(StorageError):
 
 
 class ArchiveWriteError(ArchiveError, StorageUnavailableError):
-    """The operating system refused; the set is not acknowledged."""
+    """The operating system rejected a write; the set is not acknowledged."""
 
 
 class ArchiveReadError(ArchiveError, StorageUnavailableError):
-    """The operating system does not let us read; the file may be sound."""
+    """The operating system rejected a read; the file may be sound."""
 
 
 class ConflictingSetError(ArchiveError):
@@ -40,4 +40,4 @@ class CorruptArchiveError(ArchiveError):
 
 
 class SetNotFoundError(ArchiveError):
-    """There is no such set or shot in the archive."""
+    """The archive has no such set or shot."""

@@ -1,4 +1,4 @@
-"""From the journal to a set's own file: written, read back, compared; only then may its frames go."""
+"""Finalize sets: write a journaled set to its own file, read it back and compare it."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ def compact_set(
     results: Results = MappingProxyType({}),
     also: Callable[[SetRecord], str] | None = None,
 ) -> tuple[SetReference, str, str]:
-    """Give a whole set of the journal its own file; one that it has is compared and left.
+    """Write a complete set of the journal to its own file, or compare the file that it has.
 
-    Runs in a process of its own beside the recorder, who alone takes frames away.
+    Runs in a separate process; only the recorder removes frames from the journal.
 
     Parameters
     ----------
     places
-        Where the journal has the set (`Archive.places`); None: anywhere.
+        Where the journal has the set (`Archive.places`); None: search all segments.
     results
-        What was computed of the set.
+         Results computed from the set.
     also
-        Done with the set once its file is compared; says what kept it from that.
+        Called with the set after its file is compared; returns an error text, empty on success.
 
     Returns
     -------
     tuple
-        The file, its SHA-256, and what ``also`` said.
+        The file, its SHA-256, and the text of ``also``.
 
     Raises
     ------
@@ -63,21 +63,21 @@ def compact_set(
     record, path = replace(journaled.record(), results=results), folder / reference
     image = build_image(record)
     if is_new := not path.exists():
-        # Another worker may still be at it, whose recorder was killed: each has its own name.
+        # A worker of a killed recorder may still write the same set, so each uses its own temporary name.
         temporary = path.with_suffix(f".{os.getpid()}{TEMPORARY_SUFFIX}")
         write_durably(path, image, temporary=temporary)
     content = read_shared(path)
     if is_new and content != image:
         raise CorruptArchiveError(f"{path} does not read as it was written; the journal keeps the set")
-    if not _same(read_records(path, content, is_own=content == image), record.records):
+    if not _records_match(read_records(path, content, is_own=content == image), record.records):
         raise CorruptArchiveError(f"{path} is not what the journal holds; the journal keeps the set")
     return reference, hashlib.sha256(content).hexdigest(), also(record) if also else ""
 
 
-def _same(found: Sequence[Record], records: Sequence[Record]) -> bool:
-    """Whether every record came back with its counts."""
-    return len(found) == len(records) and all(
-        (left.sequence, left.key, left.stamp) == (right.sequence, right.key, right.stamp)
-        and np.array_equal(left.waveform.counts, right.waveform.counts)
-        for left, right in zip(found, records, strict=True)
+def _records_match(stored: Sequence[Record], records: Sequence[Record]) -> bool:
+    """Return whether every record was read back with its key, time stamp and counts."""
+    return len(stored) == len(records) and all(
+        (a.sequence, a.key, a.stamp) == (b.sequence, b.key, b.stamp)
+        and np.array_equal(a.waveform.counts, b.waveform.counts)
+        for a, b in zip(stored, records, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The NeXus HDF5 image of one set.
+"""Layout of the NeXus HDF5 file of one set.
 
 ::
 
@@ -7,11 +7,11 @@
       instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
-      <position>_truth        NXcollection: what a simulated rig knows of each record
-      <position>_settings     NXcollection: what the instrument says of each record
+      <position>_truth        NXcollection: true values of each record of a simulated rig
+      <position>_settings     NXcollection: instrument settings of each record
       shots                   NXcollection: one row a record: key, stamps, checksum, flags, outcome
-      missed                  NXcollection: what was tried and left no record (absent: nothing)
-      positions               NXcollection: what was planned, and why it fell short
+      missed                  NXcollection: strikes and echoes without a record (absent: none)
+      positions               NXcollection: planned records, and why some are missing
       environment             NXcollection: supply and climate around the set (absent: none)
       features                NXdata: features and flags of each shot (these three: absent, or a copy)
       set_features            NXcollection: features of each transducer's set
@@ -20,8 +20,8 @@
       provenance              NXnote: JSON
 
 Records of a position that differ in rate, length, type or calibration go to groups of their own
-(``B_waveforms_2``): a set is never refused for it. Results are the catalogue's when the file was made;
-without a journal it is made before they are computed.
+(``B_waveforms_2``): a set is never rejected for it. Results are a copy of the
+catalogue's at the time of writing; without a journal the file is written before they are computed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from hardware_drivers.units import unit_of
 FORMAT_VERSION = "1.4"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
-"""Tables of a set's results, each with the column that tells its rows apart."""
+"""Tables of a set's results, each with its key column."""
 CLIPPED = 1
 """Bit of ``shots/flags``."""
 _PREVIEW_POINTS = 500
@@ -78,21 +78,23 @@ class _RecordGroup:
 
     @property
     def waveform(self) -> Waveform:
+        """Waveform of the first record: its sampling and calibration hold for all."""
         return self.records[0].waveform
 
     @property
     def is_echo(self) -> bool:
+        """Whether these are pulse-echo records."""
         return isinstance(self.records[0], PulseEchoRecord)
 
     @property
     def sampling(self) -> tuple[float, int, int]:
-        """What a time axis depends on."""
+        """Rate in Hz, number of samples and pretrigger samples: they define the time axis."""
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
 
 
 def build_image(record: SetRecord) -> bytes:
-    """Bytes of the set's file; the same set gives the same bytes."""
-    groups = _grouped(record.records)
+    """Return the bytes of the set's file; equal sets give equal bytes."""
+    groups = _group_records(record.records)
     with image_file() as file:
         set_attributes(
             open_root(file),
@@ -122,11 +124,13 @@ def build_image(record: SetRecord) -> bytes:
 
 
 def _version(record: SetRecord) -> str:
+    """Return the version of solimon that recorded the set."""
     return str(record.provenance.get("versions", {}).get("solimon", ""))
 
 
-def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
-    found: dict[tuple[Any, ...], list[Record]] = {}
+def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
+    """Group records that share position, kind, sampling and calibration."""
+    by_key: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         waveform = record.waveform
         calibration = waveform.calibration
@@ -142,29 +146,30 @@ def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
             calibration.range_v,
             calibration.date,
         )
-        found.setdefault(key, []).append(record)
+        by_key.setdefault(key, []).append(record)
     groups: list[_RecordGroup] = []
-    taken: dict[str, int] = {}
-    for (position, is_echo, *_), members in found.items():
+    n_groups: dict[str, int] = {}
+    for (position, is_echo, *_), members in by_key.items():
         base = f"{position}_pulse_echo" if is_echo else f"{position}_waveforms"
-        taken[base] = taken.get(base, 0) + 1
-        name = base if taken[base] == 1 else f"{base}_{taken[base]}"
+        n_groups[base] = n_groups.get(base, 0) + 1
+        name = base if n_groups[base] == 1 else f"{base}_{n_groups[base]}"
         counts = np.stack([record.waveform.counts for record in members])
         groups.append(_RecordGroup(name, position, members, counts))
     return groups
 
 
 def _add_facts(entry: GroupID, record: SetRecord) -> None:
+    """Add title, times, identifiers and purpose of the set."""
     provenance = record.provenance
-    hash_ = str(provenance.get("configuration_hash", ""))
+    configuration_hash = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
-    # Named by its content: the same set has the same name wherever it is written.
-    identity = f"{hash_}/{record.set_index}/{record.started_utc_ns}/{sequences}"
+    # The identifier follows from the content, so every copy of a set has the same one.
+    identity = f"{configuration_hash}/{record.set_index}/{record.started_utc_ns}/{sequences}"
     add_field(entry, "title", f"Set {record.set_index}, hour {record.due_h:g}")
     add_field(entry, "start_time", format_utc(record.started_utc_ns))
     add_field(entry, "end_time", format_utc(record.ended_utc_ns))
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
-    add_field(entry, "program_name", "solimon", version=_version(record), configuration=hash_)
+    add_field(entry, "program_name", "solimon", version=_version(record), configuration=configuration_hash)
     add_field(entry, "set_index", np.int64(record.set_index))
     add_field(entry, "purpose", purpose_of(record.set_index))
     add_field(entry, "due_h", np.float64(record.due_h), units="h")
@@ -175,6 +180,7 @@ def _add_facts(entry: GroupID, record: SetRecord) -> None:
 
 
 def _add_detectors(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+    """Add an NXdetector with sampling and calibration for each group."""
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
     add_field(instrument, "name", record.rig_kind)
@@ -203,12 +209,13 @@ def _add_detectors(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGr
 
 
 def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
-    """Linear part of the calibration for viewers, after NXdata: volts = (counts + offset) * scale."""
+    """Return scale and offset of NXdata for viewers: volts = (counts + offset) * scale."""
     constant, slope = (float(c) for c in waveform.calibration.coefficients_v[:2])
     return slope, constant / slope if slope else 0.0
 
 
 def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+    """Add an NXdata with counts, time axis and shot ids for each group."""
     time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
@@ -238,8 +245,8 @@ def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGrou
             axes=[shot_time, time],
             units="counts",
         )
-        # The scale stands in NeXus' fields alone: of a netCDF reader that applies `scale_factor` the volts
-        # would keep the unit of the counts.
+        # Only NeXus fields hold the scale: a netCDF reader that applies `scale_factor` would give volts
+        # with the unit of the counts.
         add_field(data, f"{signal}_scaling_factor", np.float64(scale), units="V")
         add_field(data, f"{signal}_offset", np.float64(offset), units="counts")
         add_field(data, "shot_id", _int64(shot.sequence for shot in group.records), axes=[shot_time])
@@ -252,6 +259,7 @@ def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGrou
 
 
 def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
+    """Return integers as an array."""
     return np.fromiter(numbers, dtype=np.int64)
 
 
@@ -260,10 +268,10 @@ def _add_time_axis(
     group: _RecordGroup,
     time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]],
 ) -> DatasetID:
-    """Add the time axis; groups sampled alike share one by a hard link."""
+    """Add the time axis; groups with equal sampling share it by a hard link."""
     if group.sampling in time_axes:
-        known, axis = time_axes[group.sampling]
-        add_hard_link(data, "time", known, "time")
+        source, axis = time_axes[group.sampling]
+        add_hard_link(data, "time", source, "time")
         return axis
     axis = add_field(
         data,
@@ -279,7 +287,7 @@ def _add_time_axis(
 
 
 def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
-    """Add a group a position with a column a fact; ``known`` marks the records that have it."""
+    """Add a group per position with a column per fact; ``known`` marks the records that have it."""
     for position in record.positions:
         records = [shot for shot in record.records if shot.key.position == position.position]
         facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in records]
@@ -291,18 +299,19 @@ def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["trut
         )
         axis = add_field(group, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
         for name in names:
-            known = [name in fact for fact in facts]
+            is_known = [name in fact for fact in facts]
             is_text = any(isinstance(fact.get(name), str) for fact in facts)
             if is_text:
                 field = add_field(group, name, [str(fact.get(name, "")) for fact in facts], axes=[axis])
             else:
                 values = np.array([fact.get(name, np.nan) for fact in facts], dtype=np.float64)
                 field = add_field(group, name, values, axes=[axis], units=unit_of(name))
-            if not all(known):
-                set_attributes(field, {"known": np.array(known, dtype=np.uint8)})
+            if not all(is_known):
+                set_attributes(field, {"known": np.array(is_known, dtype=np.uint8)})
 
 
 def _add_missed(entry: GroupID, record: SetRecord) -> None:
+    """Add a table of the strikes and echoes without a record."""
     if not record.missed:
         return
     table = add_group(entry, "missed", "NXcollection")
@@ -316,6 +325,7 @@ def _add_missed(entry: GroupID, record: SetRecord) -> None:
 
 
 def _add_environment(entry: GroupID, record: SetRecord) -> None:
+    """Add supply and climate values of the set."""
     known = {name: value for name, value in record.environment.items() if value is not None}
     if not known:
         return
@@ -328,6 +338,7 @@ def _add_environment(entry: GroupID, record: SetRecord) -> None:
 
 
 def _add_shots(entry: GroupID, record: SetRecord) -> None:
+    """Add a table with key, time stamps, checksum, flags and outcome of each record."""
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
     axis = add_field(table, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
@@ -362,24 +373,26 @@ def _add_shots(entry: GroupID, record: SetRecord) -> None:
 
 
 def _add_positions(entry: GroupID, record: SetRecord) -> None:
+    """Add a table of planned and taken records per position."""
     positions = record.positions
-    taken = [shot.key.position for shot in record.records]
+    positions_of_records = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
     axis = add_field(table, "name", [row.position for row in positions], is_axis=True)
     add_column = partial(add_field, table, axes=[axis])
     for name in ("method", "label", "serial_number", "cause"):
         add_column(name, [getattr(row, name) for row in positions])
     add_column("n_planned", _int64(row.n_planned for row in positions))
-    add_column("n_taken", _int64(taken.count(row.position) for row in positions))
+    add_column("n_taken", _int64(positions_of_records.count(row.position) for row in positions))
 
 
 def _add_results(entry: GroupID, record: SetRecord) -> None:
+    """Add the tables of results, if there are any."""
     for table, axis_name in RESULTS.items():
         columns = {name: list(values) for name, values in record.results.get(table, {}).items()}
         if not columns:
             continue
-        shown = {"signal": "tof_pp_s", "axes": [axis_name]} if table == "features" else {}
-        group = add_group(entry, table, "NXdata" if shown else "NXcollection", shown)
+        plot_attributes = {"signal": "tof_pp_s", "axes": [axis_name]} if table == "features" else {}
+        group = add_group(entry, table, "NXdata" if plot_attributes else "NXcollection", plot_attributes)
         axis = add_field(group, axis_name, _column(columns.pop(axis_name)), is_axis=True)
         for name, values in sorted(columns.items()):
             field = add_field(group, name, _column(values), axes=[axis])
@@ -388,13 +401,14 @@ def _add_results(entry: GroupID, record: SetRecord) -> None:
 
 
 def _column(values: list[float | str]) -> Any:
+    """Return a column as texts or as an array of numbers."""
     return values if isinstance(values[0], str) else np.array(values)
 
 
 def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
-    """Mean, lowest and highest volts over the shots and a few samples of each transducer.
+    """Add mean, min and max volts over the shots at a few samples of each transducer.
 
-    One NXdata has one time axis: the groups sampled like the first transducer are shown.
+    One NXdata has one time axis, so it holds the groups that are sampled like the first transducer.
     """
     first = next((group for group in groups if not group.is_echo), groups[0])
     shown = [group for group in groups if group.sampling == first.sampling and group.is_echo == first.is_echo]
@@ -413,7 +427,7 @@ def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
             **({"auxiliary_signals": curves[1:]} if curves[1:] else {}),
         },
     )
-    # Without `long_name`: viewers then put name and unit beside a curve, each in its own way.
+    # Without `long_name` viewers label each curve with name and unit.
     time_s = first.waveform.time_s()[starts]
     time = add_field(preview, "time", time_s, is_axis=True, units="s", description="time from trigger")
     for name, group in zip(names, shown, strict=True):
@@ -422,10 +436,10 @@ def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
 
 
 def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
-    """Mean, min and max in V of all records between neighbouring starts, shape (n_starts,) each.
+    """Return mean, min and max in V of all records between adjacent starts, shape (n_starts,) each.
 
     Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference
-    that its curvature makes to a mean is far below what a picture shows.
+    that its curvature makes to a mean is invisible in a figure.
     """
     if not starts.size:
         return dict.fromkeys(("mean", "min", "max"), np.zeros(0, dtype=np.float32))
@@ -441,6 +455,7 @@ def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArr
 
 
 def _add_provenance(entry: GroupID, record: SetRecord) -> None:
+    """Add the provenance as JSON."""
     text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
     note = add_group(entry, "provenance", "NXnote")
     add_field(note, "type", "application/json")

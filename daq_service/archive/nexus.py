@@ -1,13 +1,11 @@
-"""Building blocks of a NeXus file in memory, below h5py's high level for speed.
+"""Write and read NeXus files in memory through h5py's low-level API, for speed.
 
-All data are under a checksum: large arrays are chunked with Fletcher32, each chunk filtered by
-`daq_service.archive.chunk` and handed over as bytes; small ones and attributes
-lie in object headers, which HDF5 guards by a checksum of its own since version 1.8 (format
-specification, version 2 object headers). Only the index of the chunks is not: a waveform that it
-leads to wrongly betrays itself by its CRC-32. Strings of datasets have a fixed length, because variable
-ones lie in a heap that nothing guards. Those of attributes are variable all the same, since readers hand
-over no others as text: they are names and units, which follow from the rest of the file and are compared
-with it by `daq_service.archive.verification`.
+Checksums protect all data: large arrays are chunked with Fletcher32, and `daq_service.archive.chunk`
+filters each chunk; small ones and attributes are in object headers, which have a checksum since HDF5 1.8
+(format specification, version 2 object headers). The index of the chunks has none: a waveform that it
+locates wrongly fails its CRC-32. Strings of datasets have a fixed length, because the heap of variable ones
+has no checksum. Strings of attributes are variable, since readers return no others as text: they are names
+and units, which `daq_service.archive.verification` compares with the rest of the file.
 
 A dataset's axes are dimension scales, so that netCDF readers know dimensions by name.
 
@@ -32,11 +30,11 @@ from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
 from daq_service.archive.plain import require_plain
 
 _LARGEST_COMPACT_BYTES = 8192
-"""Small arrays lie in their object header: faster than a chunk, and shorter than its index."""
+"""Small arrays are in their object header: faster than a chunk, and shorter than its index."""
 _BLOCK_BYTES = 1 << 20
 _TEXT = h5py.string_dtype()
 _AS_STORED = ("<", "|")
-"""First characters of the types whose numbers lie in memory as they lie in the file."""
+"""First characters of the types whose memory layout equals that of the file."""
 
 _HEAP = b"GCOL\1\0\0\0"
 _HEAP_OBJECT = struct.Struct("<H6xQ")
@@ -49,14 +47,14 @@ Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
 @contextmanager
 def image_file() -> Iterator[h5f.FileID]:
-    """Give an empty HDF5 file in memory that never touches a disk."""
+    """Create an empty HDF5 file in memory and close it at the end."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
     access.set_libver_bounds(h5f.LIBVER_V18, h5f.LIBVER_V110)
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
-    # HDF5 knows open files by name, files in memory too; the name is not stored.
+    # HDF5 identifies open files by name, those in memory too; the name is not stored.
     file = h5f.create(uuid.uuid4().hex.encode(), h5f.ACC_TRUNC, fcpl=creation, fapl=access)
     try:
         yield file
@@ -65,23 +63,23 @@ def image_file() -> Iterator[h5f.FileID]:
 
 
 def open_root(file: h5f.FileID) -> h5g.GroupID:
-    """Root group."""
+    """Open the root group."""
     return h5g.open(file, b"/")
 
 
 def image_of(file: h5f.FileID) -> bytes:
-    """Return the bytes that the file would have on a disk."""
+    """Return the bytes of the file."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
 
 def opened_image(image: bytes, *, is_own: bool = False) -> h5f.FileID:
-    """Open the bytes of a file for reading, in memory; the caller closes it.
+    """Open the bytes of a file in memory for reading; the caller closes it.
 
     Parameters
     ----------
     is_own
-        This process made them.
+         This process made the bytes, so they are not checked for links.
 
     Raises
     ------
@@ -103,34 +101,33 @@ def opened_image(image: bytes, *, is_own: bool = False) -> h5f.FileID:
 
 
 def require_finite_heaps(image: bytes) -> None:
-    """Refuse a file in whose heaps of strings HDF5 would go round for ever, or find texts without end.
+    """Raise OSError for a file whose string heaps would make HDF5 loop forever or return endless texts.
 
-    HDF5 goes from object to object of a global heap by the length that each tells (format specification,
-    III.E) and does not look whether that leads anywhere: in a page of zeros it stays for ever.
+    HDF5 steps from object to object of a global heap by the length in each (format specification, III.E)
+    without checking it: in a page of zeros it loops forever.
 
     Raises
     ------
     OSError
-        An object leads nowhere, out of its heap, or is longer than any name; as from HDF5 where it finds
-        damage by itself.
+        The length of an object is zero, exceeds its heap, or exceeds any name; HDF5 raises the same class.
     """
-    at = image.find(_HEAP)
-    while at >= 0:
-        place, end = at + 16, min(at + int.from_bytes(image[at + 8 : at + 16], "little"), len(image))
-        while place + _HEAP_OBJECT.size <= end:
-            index, length = _HEAP_OBJECT.unpack_from(image, place)
-            # Object 0 is what is free, counted with its header; the others are filled up to eight bytes.
+    heap = image.find(_HEAP)
+    while heap >= 0:
+        offset, end = heap + 16, min(heap + int.from_bytes(image[heap + 8 : heap + 16], "little"), len(image))
+        while offset + _HEAP_OBJECT.size <= end:
+            index, length = _HEAP_OBJECT.unpack_from(image, offset)
+            # Object 0 is the free space, header included; the others are padded to eight bytes.
             step = _HEAP_OBJECT.size + (length + 7) // 8 * 8 if index else length
-            if not 0 < step <= end - place or (index and length > _LONGEST_TEXT_BYTES):
-                raise OSError(f"the object at byte {place} of a heap of strings has the length {length}")
-            place += step
-        at = image.find(_HEAP, at + 1)
+            if not 0 < step <= end - offset or (index and length > _LONGEST_TEXT_BYTES):
+                raise OSError(f"the object at byte {offset} of a heap of strings has the length {length}")
+            offset += step
+        heap = image.find(_HEAP, heap + 1)
 
 
 def add_group(
     parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> h5g.GroupID:
-    """Group of a NeXus class."""
+    """Add a group of a NeXus class."""
     group = h5g.create(parent, name.encode(), gcpl=_group_properties())
     set_attributes(group, {"NX_class": nx_class, **(attributes or {})})
     return group
@@ -146,7 +143,7 @@ def add_field(
     is_axis: bool = False,
     **attributes: Attribute,
 ) -> h5d.DatasetID:
-    """Dataset of numbers or strings; ``chunk`` None leaves the choice to the size.
+    """Add a dataset of numbers or strings; ``chunk`` None leaves the choice to the size.
 
     Parameters
     ----------
@@ -157,9 +154,9 @@ def add_field(
     axes
         One for each dimension, or none.
     is_axis
-        It may be an axis of others.
+         Make it a dimension scale for other datasets.
     """
-    array, data_type, space = _stored_form(values)
+    array, data_type, space = _to_stored_form(values)
     if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim:
         chunk = array.shape
     if chunk is None:
@@ -169,7 +166,7 @@ def add_field(
         dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_chunked_properties(chunk))
         write_chunks(dataset, array, chunk)
     if array.dtype.kind == "S":
-        # Else xarray hands over bytes (netCDF's convention for text of fixed length).
+        # Else xarray returns bytes (netCDF's convention for text of fixed length).
         attributes = {"_Encoding": "utf-8", **attributes}
     set_attributes(dataset, attributes)
     if is_axis:
@@ -180,14 +177,14 @@ def add_field(
 
 
 def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
-    """Write an array of the stored type as chunks that are filtered already."""
+    """Write an array of the stored type as filtered chunks."""
     for first in range(0, array.shape[0], chunk[0]):
-        place = (first, *(0 for _ in chunk[1:]))
-        dataset.write_direct_chunk(place, filtered_chunk(array[first : first + chunk[0]]))
+        offset = (first, *(0 for _ in chunk[1:]))
+        dataset.write_direct_chunk(offset, filtered_chunk(array[first : first + chunk[0]]))
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
-    """Read a whole dataset; strings as bytes. h5py's high level takes far longer for a small one."""
+    """Read a complete dataset; strings as bytes. Much faster than h5py's high-level API for small ones."""
     dataset = h5d.open(parent, name.encode())
     array = np.empty(dataset.shape, dtype=dataset.dtype)
     dataset.read(h5s.ALL, h5s.ALL, array)
@@ -202,22 +199,23 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
             attribute = h5a.create(target, name.encode(), _variable_text(), _space(text.shape))
             attribute.write(text, mtype=_number_type(_TEXT))
         else:
-            array, data_type, space = _stored_form(value)
+            array, data_type, space = _to_stored_form(value)
             h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
 
 
 def add_hard_link(parent: h5g.GroupID, name: str, source_parent: h5g.GroupID, source_name: str) -> None:
-    """Let a second name lead to a dataset; it is stored once."""
+    """Add a second name for a dataset, which is stored once."""
     parent.links.create_hard(name.encode(), source_parent, source_name.encode())
 
 
 @cache
 def _variable_text() -> h5t.TypeID:
+    """Return the HDF5 type of strings of variable length."""
     return h5t.py_create(_TEXT, logical=True)
 
 
-def _stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
-    """Array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
+def _to_stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
+    """Return array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
         return _stored_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
@@ -233,13 +231,14 @@ def _stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
 
 @lru_cache(maxsize=1024)
 def _stored_text(text: str) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
-    """Units, names and classes come again in every set."""
+    """Return array, HDF5 type and space of a text; cached, since units and names repeat in every set."""
     array = np.array(text.encode(), dtype=np.bytes_)
     return array, _text_type(array.itemsize), _space(())
 
 
 @lru_cache(maxsize=256)
 def _text_type(n_bytes: int) -> h5t.TypeID:
+    """Return the HDF5 type of UTF-8 strings of fixed length."""
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
@@ -249,11 +248,13 @@ def _text_type(n_bytes: int) -> h5t.TypeID:
 
 @cache
 def _number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
+    """Return the HDF5 type of a NumPy type."""
     return h5t.py_create(dtype)
 
 
 @cache
 def _group_properties() -> h5p.PropGCID:
+    """Return the creation properties of groups."""
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -261,6 +262,7 @@ def _group_properties() -> h5p.PropGCID:
 
 @cache
 def _compact_properties() -> h5p.PropDCID:
+    """Return the creation properties of datasets in object headers."""
     properties = h5p.create(h5p.DATASET_CREATE)
     # A file's bytes depend on its content alone, not on the moment of writing.
     properties.set_obj_track_times(False)
@@ -270,6 +272,7 @@ def _compact_properties() -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
+    """Return the creation properties of chunked datasets."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
@@ -282,4 +285,5 @@ def _chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
 
 @lru_cache(maxsize=256)
 def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
+    """Return the HDF5 space of a shape."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

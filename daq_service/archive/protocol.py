@@ -1,6 +1,6 @@
-"""What an archive is: a folder today; an object store keeps the same promises.
+"""Interface of an archive: a folder today; an object store would have the same contract.
 
-`tests/contract/archive_contract.py` is what each of them must pass.
+`tests/contract/archive_contract.py` tests each of them.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 @runtime_checkable
 class SetReader(Protocol):
-    """Reads what is stored, changes nothing; any number of them beside the one who writes.
+    """Read-only access to stored sets; several readers may work while one process writes.
 
     Attributes
     ----------
     name
-        What messages call it: where the sets lie.
+        Location of the sets, for messages.
     """
 
     name: str
 
     def sets(self) -> Mapping[int, SetReference]:
-        """Every complete set: index to reference, in the order of the sets."""
+        """Return every complete set: index to reference, in the order of the sets."""
         ...
 
     def n_bytes(self) -> int:
-        """Bytes that the complete sets take."""
+        """Return the size of the complete sets in bytes."""
         ...
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
@@ -59,7 +59,7 @@ class SetReader(Protocol):
         ...
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read one record, a shot's or (index 0) a pulse-echo record's; of attempts the accepted one.
+        """Read one record: the accepted attempt of a shot, or (index 0) of a pulse-echo record.
 
         Raises
         ------
@@ -71,11 +71,11 @@ class SetReader(Protocol):
         ...
 
     def digest(self, reference: SetReference) -> str | None:
-        """SHA-256 of a set's file; None where it has none, or none yet."""
+        """Compute the SHA-256 of a set's file; None if it has no file (yet)."""
         ...
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read everything of a set and list what is damaged.
+        """Read a complete set and list its corrupt parts.
 
         Raises
         ------
@@ -89,15 +89,15 @@ class SetReader(Protocol):
 
 @runtime_checkable
 class Archive(SetReader, Protocol):
-    """Stores sets too; the recorder's, who alone writes.
+    """Archive that the recorder, the only writer, stores sets in.
 
-    A set may be taken in record by record (`begin_set`, `append`, `sync`, then `store_set`) or be stored at
-    once. What `sync` acknowledged of a set that is never stored is there after a restart.
+    A set may be stored record by record (`begin_set`, `append`, `sync`, then `store_set`) or at once. Records
+    of an unfinished set that `sync` acknowledged are available after a restart.
 
     Attributes
     ----------
     journal_damage
-        What was found damaged when it was opened.
+        Corruption of the journal that was found on opening.
     """
 
     journal_damage: JournalDamage
@@ -105,15 +105,15 @@ class Archive(SetReader, Protocol):
     def begin_set(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
-        """Note that a set is begun; durable with the first `sync` after it."""
+        """Record the start of a set; durable with the next `sync`."""
         ...
 
-    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
-        """Take in what a begun set has come to; acknowledged by `sync`."""
+    def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+        """Add a record or a missed record to a started set; acknowledged by `sync`."""
         ...
 
     def sync(self) -> list[int]:
-        """Make everything durable that was taken in; return the shot ids that this acknowledges.
+        """Make all additions durable; return the ids of the acknowledged shots.
 
         Raises
         ------
@@ -123,27 +123,27 @@ class Archive(SetReader, Protocol):
         ...
 
     def open_sets(self) -> Mapping[int, OpenSet]:
-        """Return the sets that an earlier process began and nobody ended, by index."""
+        """Return the unfinished sets of an earlier process by index."""
         ...
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Go on with an open set: what comes is added to what is durable."""
+        """Continue an open set: new records are added to the durable ones."""
         ...
 
     def close(self) -> None:
-        """Let go of what is held open; nothing is lost."""
+        """Release open files; nothing is lost."""
         ...
 
     def places(self, set_index: int) -> Places:
-        """Where the journal has the durable frames of a set."""
+        """Return the byte ranges of a set's durable frames in the journal."""
         ...
 
     def settle(self, set_index: int) -> None:
-        """Forget the journal's part of a set: it has its own file, or rows without a record."""
+        """Remove a set from the journal: it has its own file, or rows without a record."""
         ...
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; only when this returns is it acknowledged.
+        """Make a set durable; it is acknowledged only when this returns.
 
         Raises
         ------
@@ -157,7 +157,7 @@ class Archive(SetReader, Protocol):
         ...
 
     def set_aside(self, reference: SetReference) -> None:
-        """Take a set that cannot be read out of the way, for a person to look at; nothing is deleted.
+        """Move an unreadable set to the quarantine; nothing is deleted.
 
         Raises
         ------
@@ -167,5 +167,5 @@ class Archive(SetReader, Protocol):
         ...
 
     def quarantined(self) -> list[str]:
-        """Name everything that was set aside and is still there."""
+        """Name all files in the quarantine."""
         ...

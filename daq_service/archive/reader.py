@@ -1,7 +1,7 @@
 """Read sets back, bit for bit; every record is checked against its CRC-32.
 
-Only complete files have their name, and they never change: any number of readers may open them
-while the recorder goes on.
+Only complete files have their final name, and they never change: any number of readers may open them
+while the recorder runs.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ from hardware_drivers.measurement import (
 
 # What h5py raises on damaged or foreign files, besides our own errors.
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
-_NOT_NOW = {errno.EMFILE, errno.ENFILE, errno.ENOMEM}
-"""What the system says of itself and not of the file."""
+_TEMPORARY_ERRORS = {errno.EMFILE, errno.ENFILE, errno.ENOMEM}
+"""Errors of the operating system that do not concern the file."""
 _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
@@ -65,24 +65,24 @@ _Columns = Mapping[str, list[Any]]
 
 
 class FolderSetReader:
-    """The sets of a data folder, or of a copy of one; never writes there.
+    """Reader of the sets of a data folder or of its copy; never writes there.
 
     Parameters
     ----------
     folder
-        Holds ``sets/``; one without it has no sets.
+        Data folder that contains ``sets/``; without it there are no sets.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.name = folder, str(folder)
 
     def sets(self) -> dict[int, SetReference]:
-        """Complete sets: index to reference, in the order of the sets."""
+        """Return the complete sets: index to reference, in the order of the sets."""
         journaled = {index: item.reference for index, item in self._journal().items() if item.reference}
         return ordered({**journaled, **self._files()})
 
     def n_bytes(self) -> int:
-        """Bytes of the complete files, and of the sets that have none yet."""
+        """Return the size in bytes of the complete files and of the sets without a file."""
         files = self._files()
         journaled = sum(
             item.n_bytes for item in self._journal().values() if item.end and item.set_index not in files
@@ -96,11 +96,11 @@ class FolderSetReader:
             return read_file(self.folder / reference, skip_damaged=skip_damaged)
         damages = journaled.damages()
         if damages and not (skip_damaged and journaled.has_records):
-            raise _damaged(self.folder / reference, damages)
+            raise _corruption_error(self.folder / reference, damages)
         return journaled.record()
 
     def read_position(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
-        """Read the records of one position, without their settings; damaged ones are left out."""
+        """Read the records of one position without their settings; leave out corrupt ones."""
         journaled = self._journaled(reference)
         if journaled is None:
             with opened_set(self.folder / reference) as entry:
@@ -109,7 +109,7 @@ class FolderSetReader:
         return [record for record in shots if record.key.position == position]
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
-        """Read one record of a set; of attempts the accepted one."""
+        """Read the accepted record of a shot."""
         journaled, path = self._journaled(reference), self.folder / reference
         if journaled is None:
             return _read_waveform(path, position, shot_index)
@@ -118,11 +118,11 @@ class FolderSetReader:
             raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
         if sequence not in journaled.shots:
             damages = [damage for damage in journaled.damages() if damage.sequence == sequence]
-            raise _damaged(path, damages)
+            raise _corruption_error(path, damages)
         return record_of(journaled.shots[sequence]).waveform
 
     def digest(self, reference: SetReference) -> str | None:
-        """Compute the SHA-256 of a set's file; None where it has none yet."""
+        """Compute the SHA-256 of a set's file; None if it has no file yet."""
         try:
             return hashlib.sha256(read_stored(self.folder / reference)).hexdigest()
         except FileNotFoundError:
@@ -131,26 +131,28 @@ class FolderSetReader:
             raise ArchiveError(f"{self.folder / reference} cannot be read: {error}") from error
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read everything of a set and list what is damaged."""
+        """Read a complete set and list its corrupt parts."""
         journaled = self._journaled(reference)
         return _verify_file(self.folder / reference) if journaled is None else journaled.damages()
 
     def _files(self) -> dict[int, SetReference]:
+        """Return the references of the sets' files by set index."""
         return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
     def _journal(self) -> dict[int, JournaledSet]:
+        """Read the journal."""
         try:
             return read_journal(self.folder)
         except OSError as error:
             raise ArchiveError(f"the journal of {self.folder} cannot be read: {error}") from error
 
     def _journaled(self, reference: SetReference) -> JournaledSet | None:
-        """Find the set in the journal, if it has no file yet."""
+        """Find the set in the journal; None if it has a file."""
         if (self.folder / reference).exists():
             return None
-        # Between the two looks it may get its file: then the journal has it no more, and the file is read.
-        found = (item for item in self._journal().values() if item.reference == reference)
-        return next(found, None)
+        # It may get its file meanwhile: then the journal does not have it any more, and the file is read.
+        matches = (item for item in self._journal().values() if item.reference == reference)
+        return next(matches, None)
 
 
 def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
@@ -158,7 +160,7 @@ def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
     with opened_set(path) as entry:
         records, damages = _read_records(entry)
         if damages and not (skip_damaged and records):
-            raise _damaged(path, damages)
+            raise _corruption_error(path, damages)
         return _record_of(entry, records)
 
 
@@ -168,7 +170,7 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
     Parameters
     ----------
     is_own
-        This process made the content: nobody can have put links into it.
+        This process made the content, so it cannot contain links to other files.
 
     Raises
     ------
@@ -178,17 +180,17 @@ def read_records(path: Path, content: bytes, *, is_own: bool = False) -> list[Sh
     with opened_set(path, content, is_own=is_own) as entry:
         records, damages = _read_records(entry, facts=False)
         if damages:
-            raise _damaged(path, damages)
+            raise _corruption_error(path, damages)
         return records
 
 
 def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
-    """Read every record of a set's file that is in memory, and what it says of them.
+    """Read every record and all metadata of a set's file in memory.
 
     Returns
     -------
     tuple
-        What can be read of it, None where that is no set; and the damaged records.
+        The readable part of the set, None if that is no set, and the damaged records.
 
     Raises
     ------
@@ -206,7 +208,7 @@ def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]
 
 
 def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
-    """List what of a set's file in memory cannot be read beside its records.
+    """List the parts of a set's file in memory, other than records, that cannot be read.
 
     Raises
     ------
@@ -218,6 +220,7 @@ def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
 
 
 def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
+    """Read the metadata of a set and combine it with its records."""
     return SetRecord(
         set_index=int(read_field(entry.id, "set_index")),
         due_utc_ns=int(read_field(entry.id, "due_utc_ns")),
@@ -229,21 +232,23 @@ def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> 
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         missed=_read_missed(entry),
-        outcomes=_superseded(_read_table(entry), records),
+        outcomes=_read_outcomes(_read_table(entry), records),
         trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
         environment=_read_environment(entry),
         provenance=json.loads(_text(entry["provenance/data"][0])),
-        results={name: _columns(entry[name], *entry[name]) for name in RESULTS if name in entry},
+        results={name: _read_columns(entry[name], *entry[name]) for name in RESULTS if name in entry},
     )
 
 
-def _damaged(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
+def _corruption_error(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
+    """Return the error that names all corrupt records of a file."""
     error = CorruptArchiveError(f"{path}: {'; '.join(map(str, damages))}; {BACK}")
     error.add_note("read_set(..., skip_damaged=True) reads its other records")
     return error
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
+    """Read the accepted record of a shot from a file."""
     with opened_set(path) as entry:
         table = _read_table(entry)
         rows = [
@@ -259,25 +264,26 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
                 continue
             group = RecordGroup(entry, name)
             if table["shot_id"][row] in group.sequences:
-                found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
-                if isinstance(found, Waveform):
-                    return found
-                raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
-        raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
+                waveform = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
+                if isinstance(waveform, Waveform):
+                    return waveform
+                raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, waveform)}")
+        raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, 'no array holds it')}")
 
 
 def _verify_file(path: Path) -> list[Damage]:
+    """List the corrupt records and other parts of a file."""
     with opened_set(path) as entry:
         return _read_records(entry)[1] + _unreadable(entry)
 
 
 def _unreadable(entry: h5py.Group) -> list[Damage]:
-    """List what cannot be read beside the records."""
+    """List the parts that cannot be read, other than records."""
     unreadable: list[Damage] = []
     arrays = {f"{name}/{signal}" for name in group_names(entry) for signal in ("waveform", "record")}
     _read_everything(entry, "", arrays, unreadable)
     try:
-        # Looks into the free-space lists of the groups' names too, which no reading touches.
+        # Visits the free-space lists of the groups' names, too, which no other access reads.
         entry.visititems(lambda _name, _item: None)
     except HDF5_ERRORS as error:
         unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
@@ -285,7 +291,7 @@ def _unreadable(entry: h5py.Group) -> list[Damage]:
 
 
 class RecordGroup:
-    """One NXdata of records and its detector."""
+    """One NXdata of records with its detector."""
 
     def __init__(self, entry: h5py.Group, name: str) -> None:
         self.data = entry[name]
@@ -303,17 +309,17 @@ class RecordGroup:
         )
 
     def all_counts(self) -> NDArray[Any] | None:
-        """Every record at once, which is faster than one after the other; None: some are unreadable."""
+        """Return the counts of all records at once, which is faster; None if some are unreadable."""
         try:
             counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
-            return None  # `waveform` tells which
+            return None  # `waveform` finds which ones
         return counts
 
-    def waveform(self, row: int, crc32: int, together: NDArray[Any] | None = None) -> Waveform | str:
-        """Record of a row, or what is wrong with it; ``together`` are the counts of all rows."""
+    def waveform(self, row: int, crc32: int, all_counts: NDArray[Any] | None = None) -> Waveform | str:
+        """Return the record of a row, or why it is unreadable; ``all_counts``: the counts of all rows."""
         try:
-            counts = self.signal[row] if together is None else together[row]
+            counts = self.signal[row] if all_counts is None else all_counts[row]
         except HDF5_ERRORS as error:
             return f"unreadable ({error})"
         waveform = Waveform(
@@ -322,11 +328,11 @@ class RecordGroup:
             pretrigger_samples=self.pretrigger_samples,
             calibration=self.calibration,
         )
-        found = waveform_crc32(waveform)
-        return waveform if found == crc32 else f"CRC-32 is {found:08x}, stored as {crc32:08x}"
+        crc32_read = waveform_crc32(waveform)
+        return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
     def echo_settings(self, row: int) -> dict[str, Any]:
-        """Receiver settings of a pulse-echo record."""
+        """Return the receiver settings of a pulse-echo record."""
         return {
             "gain_db": float(self.data["gain"][row]),
             "offset_v": float(self.data["offset"][row]),
@@ -337,7 +343,7 @@ class RecordGroup:
 def _read_records(
     entry: h5py.Group, *, facts: bool = True, position: str | None = None
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
-    """Every readable record in order, and the damaged ones; of one position only, where it is given."""
+    """Return all readable records in order, and the corrupt ones; of one position only if it is given."""
     table = _read_table(entry)
     set_index = int(read_field(entry.id, "set_index"))
     truths = _read_facts(entry, "truth") if facts else {}
@@ -347,21 +353,21 @@ def _read_records(
         for row, sequence in enumerate(table["shot_id"])
         if position in (None, table["position"][row])
     }
-    trouble = dict.fromkeys(row_of, "no readable array holds it")
-    found: dict[int, Shot | PulseEchoRecord] = {}
+    reasons = dict.fromkeys(row_of, "no readable array holds it")
+    record_of_sequence: dict[int, Shot | PulseEchoRecord] = {}
     for name in group_names(entry):
         try:
             if position not in (None, _text(entry[name].attrs["position"])):
                 continue
             group = RecordGroup(entry, name)
         except HDF5_ERRORS as error:
-            trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}
+            reasons = {sequence: f"{text} ({name}: {error})" for sequence, text in reasons.items()}
             continue
-        is_echo, together = "gain" in group.data, group.all_counts()
+        is_echo, all_counts = "gain" in group.data, group.all_counts()
         for row, sequence in enumerate(group.sequences):
-            waveform = group.waveform(row, table["crc32"][row_of[sequence]], together)
+            waveform = group.waveform(row, table["crc32"][row_of[sequence]], all_counts)
             if isinstance(waveform, str):
-                trouble[sequence] = waveform
+                reasons[sequence] = waveform
                 continue
             common: dict[str, Any] = {
                 "sequence": sequence,
@@ -371,16 +377,19 @@ def _read_records(
                 "truth": truths.get(sequence, {}),
                 "settings": settings.get(sequence, {}),
             }
-            found[sequence] = (
+            record_of_sequence[sequence] = (
                 PulseEchoRecord(**common, **group.echo_settings(row)) if is_echo else Shot(**common)
             )
     damages = [
-        _damage(table, row, trouble[sequence]) for sequence, row in row_of.items() if sequence not in found
+        _damage_of_row(table, row, reasons[sequence])
+        for sequence, row in row_of.items()
+        if sequence not in record_of_sequence
     ]
-    return [found[sequence] for sequence in row_of if sequence in found], damages
+    return [record_of_sequence[sequence] for sequence in row_of if sequence in record_of_sequence], damages
 
 
-def _columns(table: h5py.Group, *names: str) -> _Columns:
+def _read_columns(table: h5py.Group, *names: str) -> _Columns:
+    """Read columns of a table as lists."""
     columns = {name: read_field(table.id, name).tolist() for name in names}
     return {
         name: [_text(value) if isinstance(value, bytes) else value for value in values]
@@ -389,23 +398,27 @@ def _columns(table: h5py.Group, *names: str) -> _Columns:
 
 
 def _read_table(entry: h5py.Group) -> _Columns:
+    """Read the table of shots."""
     table = entry["shots"]
     names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
     if "outcome" in table:
-        return _columns(table, *names, "outcome")
-    # Format 1.0 knew no repetitions: every record counts.
-    return {**_columns(table, *names), "outcome": ["accepted"] * table["shot_id"].size}
+        return _read_columns(table, *names, "outcome")
+    # Format 1.0 has no repeated shots: every record counts.
+    return {**_read_columns(table, *names), "outcome": ["accepted"] * table["shot_id"].size}
 
 
-def _superseded(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
-    """Outcome of each readable record that is not simply accepted."""
-    told = dict(zip(table["shot_id"], table["outcome"], strict=True))
+def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
+    """Return the outcome of each readable record that is not "accepted"."""
+    outcomes = dict(zip(table["shot_id"], table["outcome"], strict=True))
     return {
-        record.sequence: told[record.sequence] for record in records if told[record.sequence] != "accepted"
+        record.sequence: outcomes[record.sequence]
+        for record in records
+        if outcomes[record.sequence] != "accepted"
     }
 
 
 def _key(table: _Columns, row: int, set_index: int) -> ShotKey:
+    """Return the shot key of a row."""
     return ShotKey(
         position=table["position"][row],
         set_index=set_index,
@@ -415,10 +428,12 @@ def _key(table: _Columns, row: int, set_index: int) -> ShotKey:
 
 
 def _stamp(table: _Columns, row: int) -> Stamp:
+    """Return the time stamp of a row."""
     return Stamp(utc_ns=table["utc_ns"][row], mono_ns=table["mono_ns"][row], boot_id=table["boot_id"][row])
 
 
-def _damage(table: _Columns, row: int, reason: str) -> Damage:
+def _damage_of_row(table: _Columns, row: int, reason: str) -> Damage:
+    """Return the damage of a row's record."""
     return Damage(
         sequence=table["shot_id"][row],
         position=table["position"][row],
@@ -428,6 +443,7 @@ def _damage(table: _Columns, row: int, reason: str) -> Damage:
 
 
 def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
+    """Read the truth or settings of each record by sequence."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
         if not group_name.endswith(f"_{kind}"):
@@ -437,20 +453,21 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
         for name in group:
             if name == "shot_id":
                 continue
-            partly = h5a.exists(group.id, b"known", obj_name=name.encode())
-            known = group[name].attrs["known"] if partly else np.ones(len(sequences))
+            has_mask = h5a.exists(group.id, b"known", obj_name=name.encode())
+            known = group[name].attrs["known"] if has_mask else np.ones(len(sequences))
             values = read_field(group.id, name).tolist()
             for sequence, value, is_known in zip(sequences, values, known, strict=True):
                 if is_known:
-                    told = _text(value) if isinstance(value, bytes) else value
-                    facts.setdefault(sequence, {})[name] = told
+                    fact = _text(value) if isinstance(value, bytes) else value
+                    facts.setdefault(sequence, {})[name] = fact
     return facts
 
 
 def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
+    """Read the strikes and echoes without a record."""
     if "missed" not in entry:
         return []
-    columns = _columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
+    columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
     set_index = int(read_field(entry.id, "set_index"))
     return [
         MissedRecord(key=_key(columns, row, set_index), cause=cause, reason=columns["reason"][row])
@@ -459,6 +476,7 @@ def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
 
 
 def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
+    """Read the supply and climate values of the set."""
     if "environment" not in entry:
         return {}
     group = entry["environment"]
@@ -469,7 +487,8 @@ def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
 
 
 def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
-    columns = _columns(entry["positions"], "name", *_PLANNED)
+    """Read what was planned for each position."""
+    columns = _read_columns(entry["positions"], "name", *_PLANNED)
     return [
         PositionRecord(position=position, **{name: columns[name][row] for name in _PLANNED})
         for row, position in enumerate(columns["name"])
@@ -477,13 +496,14 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
 
 
 def group_names(entry: h5py.Group) -> list[str]:
-    """NXdata groups that hold records: those that have a detector."""
+    """Return the names of the NXdata groups that hold records: those with a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
 
-def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadable: list[Damage]) -> None:
+def _read_everything(group: h5py.Group, parent: str, left_out: set[str], unreadable: list[Damage]) -> None:
+    """Read all values and attributes below a group and add what is unreadable to the list."""
     for name in group:
-        path = f"{place}{name}"
+        path = f"{parent}{name}"
         try:
             item = group[name]
             dict(item.attrs)
@@ -498,7 +518,7 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
 
 
 def read_stored(path: Path) -> bytes:
-    """Read a file of a data folder, which may have come from elsewhere.
+    """Read a file of a data folder, which may come from an unknown source.
 
     Raises
     ------
@@ -514,7 +534,7 @@ def read_stored(path: Path) -> bytes:
 
 @contextmanager
 def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False) -> Iterator[h5py.Group]:
-    """Open the entry of a set's file, or of its content in memory; errors below are translated."""
+    """Open the entry of a set's file or of its content in memory, and translate errors."""
     try:
         image = read_stored(path) if content is None else content
         with h5py.File(opened_image(image, is_own=is_own)) as file:
@@ -534,10 +554,11 @@ def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False
     except RefusedError as error:
         raise CorruptArchiveError(f"{path} is refused: {error}") from error
     except HDF5_ERRORS as error:
-        if isinstance(error, OSError) and error.errno in _NOT_NOW:
+        if isinstance(error, OSError) and error.errno in _TEMPORARY_ERRORS:
             raise ArchiveReadError(f"{path} cannot be read now: {error}; end other programs") from error
         raise CorruptArchiveError(f"{path} is damaged: {error}; {BACK}") from error
 
 
 def _text(value: Any) -> str:
+    """Decode a text of HDF5."""
     return value.decode() if isinstance(value, bytes) else str(value)

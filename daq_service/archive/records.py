@@ -1,4 +1,4 @@
-"""What the archive takes and gives: one set of measurements, and the name of its file."""
+"""Data types of the archive: a set of measurements, its parts, and the name of its file."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ QUARANTINE_FOLDER = "quarantine"
 JOURNAL_FOLDER = "journal"
 TEMPORARY_SUFFIX = ".tmp"
 Results = Mapping[str, Mapping[str, Sequence[float | str]]]
-"""What was computed of a set: name of a table, name of a column, its values."""
+"""Results of a set: name of a table, name of a column, values."""
 SetReference = NewType("SetReference", str)
-"""What the catalogue's ``sets.file`` says: ``sets/`` and the set's name, in every archive."""
+"""Value of the catalogue's ``sets.file``: ``sets/`` and the set's file name, in every archive."""
 Places = Mapping[int, tuple[int, int | None]]
-"""First and last byte (None: the end) of what a set has in a segment of the journal, by its number."""
+"""First and last byte (None: the end) of a set in each segment of the journal, by segment number."""
 _NAME = re.compile(r"set_(\d{6,})_\d{8}T\d{6}Z\.h5")
 _LINES = re.compile(f"^{_NAME.pattern}$", re.MULTILINE)
-"""A year's names take half the time at once."""
+"""Matching a year's names at once takes half the time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionRecord:
-    """What was planned for a position in this set, and why it fell short.
+    """Planned records of a position in this set, and why some are missing.
 
     Attributes
     ----------
     method
         ``solitary_wave`` or ``pulse_echo``.
     n_planned
-        Records wanted.
+         Number of planned records.
     cause
-        Why fewer were taken; empty where the set is complete.
+        Why fewer were taken; empty if the set is complete.
     serial_number
-        Of the transducer; empty if unknown.
+        Serial number of the transducer; empty if unknown.
     """
 
     position: str
@@ -57,7 +57,7 @@ class PositionRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedRecord:
-    """A strike or echo that left no record, and why."""
+    """A strike or echo without a record, and the reason."""
 
     key: ShotKey
     cause: str
@@ -66,7 +66,7 @@ class MissedRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SetRecord:
-    """Everything taken at one due time.
+    """All measurements of one due time.
 
     Attributes
     ----------
@@ -75,26 +75,26 @@ class SetRecord:
     started_utc_ns, ended_utc_ns
         Experiment time of the first and after the last measurement.
     positions
-        Every position that was planned, also one of which nothing was taken.
+        Every planned position, also those without a record.
     missed
-        What was tried and left no record.
+         Strikes and echoes without a record.
     outcomes
         Sequence of a record to ``accepted`` or ``superseded`` (a repetition of the same shot counts
         instead); a record that is not named is accepted.
     trouble
         The instrument's error that ended the set early, ``class: message``; empty: there was none.
     environment
-        JSON-ready: what supply and climate probe said around the set; empty where there are none.
+        JSON-ready: values of supply and climate probe around the set; empty if there are none.
     provenance
         JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
     results
-        A copy of what the catalogue says of the set (`layout.RESULTS`), NaN where it has no value; empty: it
-        was not computed yet when the set was stored.
+        A copy of the catalogue's results of the set (`layout.RESULTS`), NaN for a missing value; empty if the
+        set was stored before they were computed.
 
     Raises
     ------
     ValueError
-        No record at all (such a set has no file), a record of another set or of a position that
+        No record at all (a set without records has no file), a record of another set or of a position that
         is not in `positions`, or a sequence twice.
     """
 
@@ -134,22 +134,22 @@ class SetRecord:
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
-        """Shots and pulse-echo records in the order in which they were taken."""
+        """Shots and pulse-echo records in the order of acquisition."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpenSet:
-    """A set that a crash or a stop cut short; everything here was durable before.
+    """Durable part of a set that a crash or a stop interrupted.
 
     Attributes
     ----------
     retired
-        Positions that were left out from its beginning, and why.
+        Positions that were excluded at its start, and why.
     last_utc_ns
-        Experiment time of the last thing that is known of it.
+        Experiment time of its last durable frame.
     is_dated
-        False: the frame with due time and ``retired`` is damaged; the time of the first shot stands in.
+        False: the frame with due time and ``retired`` is corrupt; the time of the first shot replaces it.
     """
 
     set_index: int
@@ -164,18 +164,18 @@ class OpenSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JournalDamage:
-    """What a start found damaged in the journal.
+    """Corruption of the journal that was found at a start.
 
     Attributes
     ----------
     files
-        Each damaged segment's copy in the quarantine, and what is damaged.
+        Copy of each corrupt segment in the quarantine, with a description of the corruption.
     sets
         Sets without a file that may lack a record.
     next_sequence
-        Higher than every shot id that the journal has, or that a lost frame can have had.
+        Greater than every shot id in the journal and every possible id of a lost frame.
     n_lost
-        How many frames may be lost whose ids are not known.
+        Maximum number of lost frames with unknown ids.
     """
 
     files: Mapping[str, str] = field(default_factory=dict)
@@ -186,7 +186,7 @@ class JournalDamage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreTimings:
-    """Where the time of storing went."""
+    """Durations of the steps of storing a set."""
 
     image_s: float
     fsync_s: float
@@ -212,7 +212,7 @@ class StoredSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
-    """What cannot be read any more; `position` None: not a shot but another part of the file."""
+    """Description of an unreadable record; `position` None: another part of the file."""
 
     reason: str
     sequence: int | None = None
@@ -227,32 +227,32 @@ class Damage:
 
 @lru_cache(maxsize=64)
 def waveform_crc32(waveform: Waveform) -> int:
-    """CRC-32 (zlib's) of a record's counts as little-endian bytes.
+    """Return the CRC-32 (zlib's) of a record's counts as little-endian bytes.
 
-    A waveform never changes; file, acknowledgement and catalogue ask for the same one.
+    Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
     """
     counts = waveform.counts
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
 
 
 def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
-    """Make the reference of a set; those of planned sets sort by time."""
+    """Return the reference of a set; references of planned sets sort by time."""
     due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
     return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5")
 
 
 def due_utc_ns(reference: SetReference) -> int:
-    """Due time of a set to the second."""
+    """Return the due time of a set to the second."""
     return parse_utc(reference.removesuffix(".h5").rpartition("_")[2])
 
 
 def set_indices(names: Iterable[str]) -> set[int]:
-    """Return the indices of the sets that have these names of files."""
+    """Return the indices of the sets with these file names."""
     return {*map(int, _LINES.findall("\n".join(names)))}
 
 
 def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
-    """Set index to reference of the names that complete sets have, in the order of the sets."""
+    """Return the reference of each complete set by index, from file names, in the order of the sets."""
     return ordered(
         {
             int(match[1]): SetReference(f"{SETS_FOLDER}/{match[0]}")
@@ -263,5 +263,5 @@ def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
 
 
 def ordered(sets: Mapping[int, T]) -> dict[int, T]:
-    """Put what belongs to sets in their order."""
+    """Sort values by set index, in the order of the sets."""
     return dict(sorted(sets.items(), key=lambda item: in_order(item[0])))

@@ -1,4 +1,4 @@
-"""The table of a sweep as an HDF5 file: one dataset a column, its unit as attribute."""
+"""Write the table of a sweep as an HDF5 file: one dataset per column, with its unit as attribute."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def hdf5_image(
     facts: Mapping[str, Any],
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of the file.
+    """Return the bytes of the file of a sweep.
 
-    ``entry/swept`` and ``entry/results`` hold the columns, ``entry/status`` a text a row, and
-    ``entry/facts`` everything about their origin as JSON; the plain facts are attributes of ``entry``, too.
-    ``entry/waveforms/force_n`` holds the forces one after the other: row i has ``n_samples[i]`` of them
-    from ``first_sample[i]`` on, ``sample_interval_s[i]`` apart, the first at the striker's touch.
+    ``entry/swept`` and ``entry/results`` hold the columns, ``entry/status`` a text per row, and
+    ``entry/facts`` their provenance as JSON; scalar facts are also attributes of ``entry``.
+    ``entry/waveforms/force_n`` concatenates the forces: row i has ``n_samples[i]`` samples from
+    ``first_sample[i]`` on, ``sample_interval_s[i]`` apart, the first at the striker's contact.
 
     Parameters
     ----------
@@ -54,12 +54,13 @@ def hdf5_image(
 
 
 def _add_waveforms(entry: GroupID, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:
+    """Add the concatenated forces of all rows."""
     group = add_group(entry, "waveforms", "NXcollection")
     samples = np.array([force.size for force, _ in forces], dtype=np.int64)
-    together = np.concatenate([force for force, _ in forces])
-    # A dataset without any sample has no chunk, either.
-    chunk = (min(_CHUNK_SAMPLES, together.size),) if together.size else None
-    add_field(group, "force_n", together, chunk=chunk, units="N")
+    concatenated = np.concatenate([force for force, _ in forces])
+    # A dataset without samples has no chunk.
+    chunk = (min(_CHUNK_SAMPLES, concatenated.size),) if concatenated.size else None
+    add_field(group, "force_n", concatenated, chunk=chunk, units="N")
     add_field(group, "first_sample", np.cumsum(samples) - samples, units="")
     add_field(group, "n_samples", samples, units="")
     add_field(group, "sample_interval_s", np.array([interval for _, interval in forces]), units="s")

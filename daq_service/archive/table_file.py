@@ -1,4 +1,4 @@
-"""Exported tables and records as HDF5 files: a column a dataset with its unit, plotted by viewers."""
+"""Write exported tables and waveforms as HDF5 files: a dataset per column with its unit and default plot."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ def table_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of the file: ``entry/<name>``, an NXdata where there is a ``signal``.
+    """Return the bytes of the file with ``entry/<name>``, an NXdata if there is a ``signal``.
 
     Parameters
     ----------
     axis
-        Column over which the signal is drawn.
+        Column of the x axis.
     """
     with image_file() as file:
-        entry = _begun(file, name, facts_text)
+        entry = _add_entry(file, name, facts_text)
         plot: dict[str, Attribute] = {} if signal is None else {"signal": signal, "axes": [axis]}
         group = add_group(entry, name, "NXcollection" if signal is None else "NXdata", plot)
         _add_columns(group, columns, axis)
@@ -55,28 +55,30 @@ def records_image(
     axis: str,
     facts_text: str,
 ) -> bytes:
-    """Return the bytes of a file of records: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
+    """Return the bytes of a file of waveforms: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
 
     Parameters
     ----------
     columns
-        A value a record of each.
+         Columns with a value per waveform.
     voltage_v
         Shape (records, samples); ``time_s`` has shape (samples,).
     axis
-        Column that counts the records.
+        Column that identifies the waveforms.
     """
     with image_file() as file:
         plot: dict[str, Attribute] = {"signal": "voltage_v", "axes": [axis, "time_s"]}
-        group = add_group(_begun(file, name, facts_text), name, "NXdata", plot)
-        along = _add_columns(group, columns, axis)
+        group = add_group(_add_entry(file, name, facts_text), name, "NXdata", plot)
+        axis_field = _add_columns(group, columns, axis)
         time = add_field(group, "time_s", time_s, is_axis=True, units="s", description="from the trigger")
-        add_field(group, "voltage_v", voltage_v, chunk=(1, voltage_v.shape[1]), axes=[along, time], units="V")
+        add_field(
+            group, "voltage_v", voltage_v, chunk=(1, voltage_v.shape[1]), axes=[axis_field, time], units="V"
+        )
         return image_of(file)
 
 
-def _begun(file: FileID, name: str, facts_text: str) -> GroupID:
-    """Add root and entry, whose default leads to the group of that name."""
+def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
+    """Add root and entry; their default is the group of that name."""
     set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
     entry = add_group(file, "entry", "NXentry", {"default": name})
     add_field(entry, "facts", facts_text)
@@ -84,10 +86,13 @@ def _begun(file: FileID, name: str, facts_text: str) -> GroupID:
 
 
 def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
-    along = add_field(group, axis, columns[axis], is_axis=True)
-    others = {
-        key: add_field(group, key, values, axes=[along]) for key, values in columns.items() if key != axis
+    """Add a dataset per column and return that of the axis."""
+    axis_field = add_field(group, axis, columns[axis], is_axis=True)
+    fields = {
+        key: add_field(group, key, values, axes=[axis_field])
+        for key, values in columns.items()
+        if key != axis
     }
-    for key, field in {axis: along, **others}.items():
+    for key, field in {axis: axis_field, **fields}.items():
         set_attributes(field, {"units": unit_of(key)} if unit_of(key) else {})
-    return along
+    return axis_field

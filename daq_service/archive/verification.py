@@ -1,4 +1,4 @@
-"""Look at every byte of a set's file that carries meaning; nothing is written."""
+"""Check every meaningful byte of a set's file for corruption; nothing is written."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from daq_service.archive.records import Damage, SetRecord
 log = logging.getLogger(__name__)
 
 _PREVIEW_TOLERANCE = 1e-6
-"""Of the largest value: a mean in another order of summation, as 32-bit floats."""
+"""Relative to the largest value: a mean summed in another order, as 32-bit floats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckedFile:
-    """A set's file as it was found.
+    """Result of a check of a set's file.
 
     Attributes
     ----------
     record
-        What can be read of it; None: nothing.
+         Readable part of the set; None if nothing is readable.
     damages
-        What cannot, or contradicts itself.
+         Unreadable or contradictory parts.
     touched
-        Its SHA-256 is not the one that is known of it.
+         Its SHA-256 differs from the known one.
     sha256
-        What it is; empty where the file cannot be read.
+         Its SHA-256; empty if the file cannot be read.
     """
 
     n_bytes: int
@@ -48,13 +48,13 @@ class CheckedFile:
 
 
 def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
-    """Read a set's file to the last byte.
+    """Check a set's file to the last byte.
 
     Parameters
     ----------
     sha256
-        Of the file as it was written, in hexadecimal. None: it is not known; then the file is made anew from
-        its own records and compared, so that what it says twice (axes, factors, previews) must agree.
+        SHA-256 of the file as written, in hexadecimal. None: unknown; then the file is rebuilt from its
+        records and compared, so that redundant values (axes, factors, previews) must agree.
 
     Raises
     ------
@@ -69,98 +69,104 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
         return CheckedFile(
             n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror or error})")]
         )
-    found = hashlib.sha256(content).hexdigest()
-    touched = sha256 is not None and found != sha256
+    digest = hashlib.sha256(content).hexdigest()
+    touched = sha256 is not None and digest != sha256
     try:
         record, damages = examine(path, content)
-        made = None if record is None or damages or sha256 is not None else _made(record)
-        # Else every byte is the one that was written, or that these records make.
-        if damages or touched or (sha256 is None and made != content):
+        rebuilt = None if record is None or damages or sha256 is not None else _rebuilt(record)
+        # Otherwise every byte equals the one that was written or rebuilt.
+        if damages or touched or (sha256 is None and rebuilt != content):
             damages += unreadable_parts(path, content)
             if not damages and not touched:
-                damages = [Damage(reason=told) for told in _contradictions(content, made)]
+                damages = [Damage(reason=reason) for reason in _contradictions(content, rebuilt)]
     except CorruptArchiveError as error:
         record, damages = None, [Damage(reason=str(error.__cause__ or error))]
-    return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched, sha256=found)
+    return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched, sha256=digest)
 
 
-def _made(record: SetRecord) -> bytes | None:
-    """Make the file anew; None: of what was read no file can be made."""
+def _rebuilt(record: SetRecord) -> bytes | None:
+    """Rebuild the file from its record; None if that is impossible."""
     try:
         return build_image(record)
-    except Exception as error:  # noqa: BLE001 - a damaged name or length can break any step of it
+    except Exception as error:  # noqa: BLE001 - a corrupt name or length can break any step of it
         log.debug("no file can be made of what was read: %s", error)
         return None
 
 
 def damage_of(path: Path, sha256: str | None = None) -> tuple[str, str]:
-    """Say what is damaged in a set's file, empty: nothing, and its SHA-256; see `check_file`."""
-    found = check_file(path, sha256=sha256)
-    told = [str(damage) for damage in found.damages]
-    touched = ["its SHA-256 is not that of the file that was written"] if found.touched else []
-    return "; ".join([*touched, *told]), found.sha256
+    """Return the damages of a set's file (empty: none) and its SHA-256; see `check_file`."""
+    checked = check_file(path, sha256=sha256)
+    damages = [str(damage) for damage in checked.damages]
+    touched = ["its SHA-256 is not that of the file that was written"] if checked.touched else []
+    return "; ".join([*touched, *damages]), checked.sha256
 
 
-def _contradictions(content: bytes, made: bytes | None) -> list[str]:
-    """Compare a file, value by value, with the one that its own records make.
+def _contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
+    """Compare a file, value by value, with the file rebuilt from its records.
 
-    Another version of a library packs the same values into other bytes; then flips in bytes that hold
-    nothing pass unseen.
+    Another version of a library may encode equal values in other bytes; then changes of unused bytes are
+    not found.
     """
-    if made is None:
+    if rebuilt is None:
         return ["what can be read of it makes no set"]
     try:
         with (
-            h5py.File(opened_image(content)) as found,
-            h5py.File(opened_image(made, is_own=True)) as expected,
+            h5py.File(opened_image(content)) as stored,
+            h5py.File(opened_image(rebuilt, is_own=True)) as expected,
         ):
-            values, wanted = _values(found), _values(expected)
-            same_format = found.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
+            values, expected_values = _values(stored), _values(expected)
+            same_format = stored.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
     except HDF5_ERRORS as error:
         return [f"the structure of the file is damaged ({error})"]
     return [
         f"{name} is not what the rest of the file says"
-        for name in sorted({*values, *wanted} if same_format else values)
-        if not _alike(name, values, wanted, same_format=same_format)
+        for name in sorted({*values, *expected_values} if same_format else values)
+        if not _agree(name, values, expected_values, same_format=same_format)
     ]
 
 
 def _values(file: h5py.File) -> dict[str, Any]:
-    """Every array and attribute by its path, the version of the format left out."""
-    found: dict[str, Any] = {}
+    """Return every array and attribute by its path, without the format version."""
+    values: dict[str, Any] = {}
 
     def add(name: str, item: Any) -> None:
-        # An axis tells in REFERENCE_LIST which arrays it belongs to: what their DIMENSION_LIST says already.
+        # The REFERENCE_LIST of an axis repeats the DIMENSION_LIST of the arrays that it belongs to.
         attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
-        found.update({f"{name}@{key}": _plain(file, value) for key, value in attributes.items()})
-        found[name] = _plain(file, item[()]) if isinstance(item, h5py.Dataset) else None
+        values.update({f"{name}@{key}": _comparable(file, value) for key, value in attributes.items()})
+        values[name] = _comparable(file, item[()]) if isinstance(item, h5py.Dataset) else None
 
     add("", file)
     file.visititems(add)
-    found.pop("@solimon_format_version", None)
-    return found
+    values.pop("@solimon_format_version", None)
+    return values
 
 
-def _plain(file: h5py.File, value: Any) -> Any:
-    """Text however it is stored, a reference as the name of what it leads to, numbers as an array."""
+def _comparable(file: h5py.File, value: Any) -> Any:
+    """Return a value for comparison: texts as str, references as target names, numbers as arrays."""
     if isinstance(value, h5py.Reference):
         return file[value].name
     if isinstance(value, bytes):
         return value.decode(errors="replace")
     if isinstance(value, np.ndarray) and value.dtype.kind in "SO":
-        return [_plain(file, part) for part in value.flat]
+        return [_comparable(file, part) for part in value.flat]
     return value if isinstance(value, str) else np.asarray(value)
 
 
-def _alike(name: str, found: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
-    if not same_format and "@" in name and (name not in expected or str(found.get(name)) == ""):
+def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
+    """Return whether a stored and an expected value agree."""
+    if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty
-    if name not in found or name not in expected:
+    if name not in stored or name not in expected:
         return False
-    left, right = found[name], expected[name]
-    if not (isinstance(left, np.ndarray) and isinstance(right, np.ndarray)):
-        return type(left) is type(right) and bool(left == right)
-    if "/preview/" in name and "@" not in name and left.shape == right.shape and left.dtype == right.dtype:
-        scale = float(np.max(np.abs(right), initial=0.0))
-        return bool(np.all(np.abs(left - right) <= _PREVIEW_TOLERANCE * scale))
-    return (left.dtype, left.shape, left.tobytes()) == (right.dtype, right.shape, right.tobytes())
+    value, wanted = stored[name], expected[name]
+    if not (isinstance(value, np.ndarray) and isinstance(wanted, np.ndarray)):
+        return type(value) is type(wanted) and bool(value == wanted)
+    if (
+        "/preview/" in name
+        and "@" not in name
+        and value.shape == wanted.shape
+        and value.dtype == wanted.dtype
+    ):
+        scale = float(np.max(np.abs(wanted), initial=0.0))
+        return bool(np.all(np.abs(value - wanted) <= _PREVIEW_TOLERANCE * scale))
+    return (value.dtype, value.shape, value.tobytes()) == (wanted.dtype, wanted.shape, wanted.tobytes())

@@ -1,4 +1,4 @@
-"""Store sets in the journal, record by record; `compact_set` gives each its own file later."""
+"""Store sets in the journal, record by record; `compact_set` writes each to its own file later."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ _REMEDY = {
 
 
 class FolderArchive(FolderSetReader):
-    """The sets of one data folder in the hands of the recorder, who alone writes there.
+    """The recorder's archive in a data folder; only the recorder writes there.
 
-    Opening makes the folders and removes what a crash left unfinished.
+    Opening creates the folders and removes unfinished files of a crash.
 
     Parameters
     ----------
@@ -65,66 +65,70 @@ class FolderArchive(FolderSetReader):
             self._sets_folder.mkdir(parents=True, exist_ok=True)
             (folder / JOURNAL_FOLDER).mkdir(exist_ok=True)
             sync_folder(folder)
-            self._kept = Journal(folder)
+            self._journal_writer = Journal(folder)
             with contextlib.suppress(PermissionError):
-                # A new data folder's own name; the folder above may belong to others.
+                # The name of a new data folder; the parent folder may belong to another user.
                 sync_folder(folder.absolute().parent, patience_s=0.0)
             unfinished = patiently(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
-            self._own = self._sets_folder.stat()
+            self._folder_stat = self._sets_folder.stat()
         except OSError as error:
-            raise _refused(self._sets_folder, error) from error
+            raise _write_error(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
-        self.journal_damage = self._kept.damage
-        # Frames that share a segment with others outlive their set, whose first segments may be gone.
-        for index in [index for index, item in self._kept.left.items() if not item.is_whole]:
+        self.journal_damage = self._journal_writer.damage
+        # Frames of a finalized set remain in shared segments; its earlier segments may be removed.
+        for index in [index for index, item in self._journal_writer.left.items() if not item.is_whole]:
             if index in self._files():
-                self._kept.settle(index)
-        self._begun: dict[int, set[int]] = {}
-        self._ending: dict[int, Buffers] = {}
-        # A set that was ended and is not whole was never acknowledged, or is damaged: it may be taken again.
+                self._journal_writer.settle(index)
+        self._sequences_of: dict[int, set[int]] = {}
+        self._end_frames: dict[int, Buffers] = {}
+        # An ended set that is incomplete was not acknowledged, or is corrupt: it may be measured again.
         self._stored = {index: file for index, file in self.sets().items() if index not in self.open_sets()}
 
     def begin_set(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
-        """Note that a set is begun; durable with the first `sync` after it."""
-        self._begun[set_index] = set()
-        self._kept.begin(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+        """Record the start of a set; durable with the next `sync`."""
+        self._sequences_of[set_index] = set()
+        self._journal_writer.begin(
+            set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired
+        )
 
-    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
-        """Take in what a begun set has come to; acknowledged by `sync`."""
-        begun = self._begun.get(taken.key.set_index)
-        if begun is None:
+    def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+        """Add a record or a missed record to a started set; acknowledged by `sync`."""
+        sequences = self._sequences_of.get(item.key.set_index)
+        if sequences is None:
             return
-        if isinstance(taken, MissedRecord):
-            self._kept.append_missed(taken, utc_ns)
+        if isinstance(item, MissedRecord):
+            self._journal_writer.append_missed(item, utc_ns)
         else:
-            self._kept.append(taken)
-            begun.add(taken.sequence)
+            self._journal_writer.append(item)
+            sequences.add(item.sequence)
 
     def sync(self) -> list[int]:
-        """Make everything durable that was taken in; return the shot ids that this acknowledges."""
+        """Make all additions durable; return the ids of the acknowledged shots."""
         try:
             self._check_own_folder()
-            return self._kept.sync()
+            return self._journal_writer.sync()
         except OSError as error:
-            raise _refused(self.folder / JOURNAL_FOLDER, error) from error
+            raise _write_error(self.folder / JOURNAL_FOLDER, error) from error
 
     def open_sets(self) -> dict[int, OpenSet]:
-        """Return the sets that an earlier process began and nobody ended, by index."""
-        found = {index: item.opened() for index, item in self._kept.left.items() if not item.is_whole}
-        return {index: item for index, item in found.items() if item is not None}
+        """Return the unfinished sets of an earlier process by index."""
+        opened = {
+            index: item.opened() for index, item in self._journal_writer.left.items() if not item.is_whole
+        }
+        return {index: item for index, item in opened.items() if item is not None}
 
     def to_compact(self) -> list[int]:
-        """Whole sets that an earlier process left in the journal."""
-        return [index for index, item in self._kept.left.items() if item.is_whole]
+        """Return the complete sets that an earlier process left in the journal."""
+        return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
-        """Go on with an open set: what comes is added to what is durable."""
-        self._begun[opened.set_index] = {record.sequence for record in opened.records}
+        """Continue an open set: new records are added to the durable ones."""
+        self._sequences_of[opened.set_index] = {record.sequence for record in opened.records}
         if not opened.is_dated:
-            self._kept.begin(
+            self._journal_writer.begin(
                 opened.set_index,
                 due_utc_ns=opened.due_utc_ns,
                 started_utc_ns=opened.started_utc_ns,
@@ -132,82 +136,84 @@ class FolderArchive(FolderSetReader):
             )
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; when this returns every record of it is acknowledged."""
+        """Make a set durable; on return every record of it is acknowledged."""
         start = time.perf_counter()
         reference = set_reference(record.set_index, record.due_utc_ns)
         stored = self._stored.get(record.set_index)
         if stored is not None:
-            # The same set once more, after an error that came when all was done.
-            kept = replace(self.read_set(stored), results=record.results)
-            if stored != reference or build_image(kept) != build_image(record):
+            # The same set again, after an error that occurred when it was already stored.
+            stored_record = replace(self.read_set(stored), results=record.results)
+            if stored != reference or build_image(stored_record) != build_image(record):
                 raise self._conflict(record.set_index, stored)
         else:
             self._end(record)
-        built = time.perf_counter()
+        added = time.perf_counter()
         self.sync()
-        self._begun.pop(record.set_index, None)
+        self._sequences_of.pop(record.set_index, None)
         self._stored[record.set_index] = reference
         return StoredSet(
             file=reference,
             n_bytes=sum(item.waveform.counts.nbytes for item in record.records),
             crc32={item.sequence: waveform_crc32(item.waveform) for item in record.records},
-            timings=StoreTimings(image_s=built - start, fsync_s=time.perf_counter() - built),
+            timings=StoreTimings(image_s=added - start, fsync_s=time.perf_counter() - added),
         )
 
     def _end(self, record: SetRecord) -> None:
-        """Add what the journal lacks of a set, and its end, once."""
-        ended = end_frame(record)
-        if self._ending.get(record.set_index) == ended:
+        """Add the missing records of a set to the journal, and its end, once."""
+        frame = end_frame(record)
+        if self._end_frames.get(record.set_index) == frame:
             return
-        known = self._begun.setdefault(record.set_index, set())
+        sequences = self._sequences_of.setdefault(record.set_index, set())
         for item in record.records:
-            if item.sequence not in known:
-                self._kept.append(item)
-                known.add(item.sequence)
-        self._kept.end(record.set_index, ended)
-        self._ending = {record.set_index: ended}
+            if item.sequence not in sequences:
+                self._journal_writer.append(item)
+                sequences.add(item.sequence)
+        self._journal_writer.end(record.set_index, frame)
+        self._end_frames = {record.set_index: frame}
 
     def places(self, set_index: int) -> Places:
-        """Where the journal has the durable frames of a set."""
-        return self._kept.places(set_index)
+        """Return the byte ranges of a set's durable frames in the journal."""
+        return self._journal_writer.places(set_index)
 
     def settle(self, set_index: int) -> None:
-        """Let the journal forget a set: it has its own file, or rows without a record."""
-        self._begun.pop(set_index, None)
-        self._kept.settle(set_index)
+        """Remove a set from the journal: it has its own file, or rows without a record."""
+        self._sequences_of.pop(set_index, None)
+        self._journal_writer.settle(set_index)
 
     def close(self) -> None:
-        """Let go of the journal; nothing of it is lost."""
-        self._kept.close()
+        """Close the journal; nothing of it is lost."""
+        self._journal_writer.close()
 
     def set_aside(self, reference: SetReference) -> None:
-        """Move a set that cannot be read out of the way, for a person to look at; nothing is deleted."""
+        """Move an unreadable set to the quarantine; nothing is deleted."""
         source = self.folder / reference
         try:
             if source.exists():
                 move_aside(self.folder, reference)
             else:
-                self._kept.set_aside(self._index_of(reference), source.name)
+                self._journal_writer.set_aside(self._index_of(reference), source.name)
         except OSError as error:
-            raise _refused(source, error) from error
+            raise _write_error(source, error) from error
         self._stored = self.sets()
 
     def _index_of(self, reference: SetReference) -> int:
+        """Return the set index of a reference."""
         return next(index for index, file in self.sets().items() if file == reference)
 
     def quarantined(self) -> list[str]:
-        """Name everything that was set aside and is still there."""
+        """Name all files in the quarantine."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 
     def _check_own_folder(self) -> None:
-        """Where a disk was taken away or a folder moved, another one may stand in its place."""
-        if not os.path.samestat(self._own, self._sets_folder.stat()):
+        """Check that the folder was not replaced, as when a disk is unmounted or a folder moved."""
+        if not os.path.samestat(self._folder_stat, self._sets_folder.stat()):
             raise ArchiveWriteError(
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
 
     def _conflict(self, set_index: int, stored: SetReference) -> ConflictingSetError:
+        """Return the error for a set that is stored with other content."""
         return ConflictingSetError(
             f"set {set_index} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
@@ -215,7 +221,7 @@ class FolderArchive(FolderSetReader):
 
 
 def move_aside(folder: Path, reference: SetReference) -> str:
-    """Move a set's file to the quarantine, and return its name there; nothing is overwritten.
+    """Move a set's file to the quarantine and return its path there; nothing is overwritten.
 
     Raises
     ------
@@ -228,11 +234,12 @@ def move_aside(folder: Path, reference: SetReference) -> str:
     while target.exists():
         target = target.with_name(f"again_{target.name}")
     patiently(lambda: source.replace(target))
-    for changed in (quarantine, source.parent, folder):
-        sync_folder(changed)
+    for parent in (quarantine, source.parent, folder):
+        sync_folder(parent)
     return f"{QUARANTINE_FOLDER}/{target.name}"
 
 
-def _refused(path: Path, error: OSError) -> ArchiveWriteError:
+def _write_error(path: Path, error: OSError) -> ArchiveWriteError:
+    """Return the error for a rejected write, with its remedy."""
     remedy = _REMEDY.get(error.errno or 0, "check the disk and its connection")
     return ArchiveWriteError(f"{path} cannot be written: {error.strerror or error}; {remedy}")

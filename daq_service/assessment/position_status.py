@@ -7,7 +7,7 @@ from typing import Literal
 from daq_service.alarms.states import NOT_ASSESSED, retired_positions
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.stored_limits import limits_by_name
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import ScheduleSettings, Settings
 
@@ -20,7 +20,7 @@ PositionStatus = Literal[
 """Statuses of a position in rising urgency: an alarm calls for a person, who knows of a retirement."""
 
 
-def status_of(last: LastWord) -> PositionStatus:
+def status_of(last: LatestRows) -> PositionStatus:
     """Return the status of a position; of one that has an alarm it never is ``normal``.
 
     Parameters
@@ -45,7 +45,7 @@ def status_of(last: LastWord) -> PositionStatus:
     return "learning" if assessment is None or assessment.in_baseline else "not_judged"
 
 
-def limit_of(last: LastWord, settings: Settings) -> float | None:
+def limit_of(last: LatestRows, settings: Settings) -> float | None:
     """Return the limit that decides: thickness in m of a probe, of a transducer that of an outlier.
 
     None: there is none yet.
@@ -58,7 +58,7 @@ def limit_of(last: LastWord, settings: Settings) -> float | None:
     return limits_by_name(assessment).get(assessment.limit_name)
 
 
-def data_hour(last: LastWord) -> float | None:
+def data_hour(last: LatestRows) -> float | None:
     """Return the hour of the newest set with data; None before it.
 
     A set that was missed, or planned for a retired transducer, brings none: the data age on.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from daq_service.archive import Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.archive.waterfall.tile_files import forget_tiles, keep_file, keep_set
+from daq_service.archive.waterfall.tile_files import forget_tiles, write_tiles_of_file, write_tiles_of_set
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.verification import QUIET_S
 from daq_service.errors import StorageError
@@ -31,7 +31,7 @@ def tile_record(folder: Path, experiment: str, anchors: Mapping[int, float], rec
     if record.set_index >= PLANNED_SETS:
         return ""
     try:
-        keep_set(folder, experiment, record, anchors)
+        write_tiles_of_set(folder, experiment, record, anchors)
     except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
         return f"the tiles of the waterfall lack a set: {error!r}"
     return ""
@@ -42,7 +42,7 @@ def tiled(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) ->
     told = ""
     for file, results in sets:
         try:
-            keep_file(folder, experiment, SetReference(file), anchors_of(results))
+            write_tiles_of_file(folder, experiment, SetReference(file), anchors_of(results))
         except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
             told = repr(error)
     return told

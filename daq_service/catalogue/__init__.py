@@ -1,7 +1,7 @@
-"""The catalogue: what was taken, what it says, what was decided; SQLite through SQLAlchemy Core.
+"""The catalogue: sets, results and decisions of a test; SQLite through SQLAlchemy Core.
 
-`open_catalogue` is the door. The recorder opens it with ``writer=True``; everybody else reads, and
-may add commands. The names are imported when they are first used: `network_folder` needs no SQL.
+Open it with `open_catalogue`. The recorder uses ``writer=True``; all others read and may add commands.
+The names are imported on first use: `network_folder` needs no SQL.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ _MODULE_OF = {
 
 
 def __getattr__(name: str) -> Any:
+    """Import a name of the package on first use."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

@@ -1,4 +1,4 @@
-"""A reader's catalogue that is opened once it is there, for any thread."""
+"""Open the catalogue for reading on first use, for any thread."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from daq_service.catalogue.store import Catalogue, open_catalogue
 
 
 class CatalogueAccess:
-    """Opens the catalogue when it is first there; requests of every thread share it."""
+    """Opens the catalogue once it exists; all threads share it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -30,7 +30,7 @@ class CatalogueAccess:
             return self._catalogue
 
     def close(self) -> None:
-        """Close it; the next `get` opens again."""
+        """Close the catalogue; the next `get` opens it again."""
         with self._lock:
             if self._catalogue is not None:
                 self._catalogue.close()

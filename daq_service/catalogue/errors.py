@@ -4,11 +4,11 @@
 
     StorageError
     └── CatalogueError
-        ├── NoDataYetError           nothing recorded here yet: wait for the recorder
+        ├── NoDataYetError           nothing is recorded here yet: wait for the recorder
         ├── NetworkFolderError       the folder is on a network file system
         ├── OtherExperimentError     the folder belongs to another configuration
         ├── SchemaVersionError       made by another version of solimon
-        ├── CatalogueBusyError       somebody else is writing for longer than the deadline
+        ├── CatalogueBusyError       another process writes for longer than the deadline
         ├── CatalogueDamagedError    the file is no whole SQLite database
         ├── CatalogueWriteError      full or failing disk, read-only folder
         └── CatalogueConflictError   such a row exists, or lacks what it belongs to

@@ -1,4 +1,4 @@
-"""``experiment.json``: which experiment a folder belongs to, beside the catalogue that may be lost."""
+"""Read and write ``experiment.json``, which identifies a folder's experiment if the catalogue is lost."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ log = logging.getLogger(__name__)
 
 EXPERIMENT_FILE = "experiment.json"
 HISTORY_FILE = "history.jsonl"
-"""Beside it: `history`."""
+"""History of the test, see `history`."""
 
 
 def write_experiment(folder: Path, row: ExperimentRow) -> None:
-    """Write it durably, once for all; a person may read it.
+    """Write the file durably; it is never changed and readable by a person.
 
     Raises
     ------
@@ -34,8 +34,8 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
         The disk refuses.
     """
     path = folder / EXPERIMENT_FILE
-    told = values(row)
-    content = orjson.dumps({"crc32": _crc32(told), "experiment": told}, option=orjson.OPT_INDENT_2)
+    columns = values(row)
+    content = orjson.dumps({"crc32": _crc32(columns), "experiment": columns}, option=orjson.OPT_INDENT_2)
     try:
         write_durably(path, content, temporary=path.with_suffix(HINT_SUFFIX))
     except OSError as error:
@@ -45,7 +45,7 @@ def write_experiment(folder: Path, row: ExperimentRow) -> None:
 
 
 def read_experiment(folder: Path) -> ExperimentRow | None:
-    """Read it; None where there is none.
+    """Read the experiment's row; None if there is no file.
 
     Raises
     ------
@@ -64,10 +64,10 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
             f"{path} cannot be read: {error.strerror}; mend the disk or its rights"
         ) from error
     try:
-        kept = orjson.loads(content)
-        if kept["crc32"] != _crc32(kept["experiment"]):
+        stored = orjson.loads(content)
+        if stored["crc32"] != _crc32(stored["experiment"]):
             raise ValueError("its checksum is another one")
-        return ExperimentRow(**kept["experiment"])
+        return ExperimentRow(**stored["experiment"])
     except (ValueError, TypeError, LookupError) as error:
         raise CatalogueDamagedError(
             f"{path} is damaged: {error}; `solimon rebuild` writes it again from catalogue, history or sets"
@@ -75,44 +75,47 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
 
 
 def keep_experiment(folder: Path, row: ExperimentRow) -> None:
-    """Have the file say what the catalogue says; a folder from before there was one gets it.
+    """Check that the file agrees with the catalogue, and write it in a folder without one.
 
     Raises
     ------
     OtherExperimentError
-        It tells of another experiment.
+         The file belongs to another experiment.
     """
     try:
-        kept = read_experiment(folder)
+        stored = read_experiment(folder)
     except CatalogueDamagedError as error:
         log.warning("written again from the catalogue: %s", error)
-        kept = None
-    if kept is None:
+        stored = None
+    if stored is None:
         write_experiment(folder, row)
     else:
-        refuse_another(row, kept, "its catalogue", EXPERIMENT_FILE, folder)
+        refuse_another(row, stored, "its catalogue", EXPERIMENT_FILE, folder)
 
 
-def refuse_another(one: ExperimentRow, other: ExperimentRow, its: str, others: str, folder: Path) -> None:
-    """Let two places of a folder tell of one experiment: the same configuration, the same hour 0.
+def refuse_another(
+    row: ExperimentRow, other_row: ExperimentRow, name: str, other_name: str, folder: Path
+) -> None:
+    """Raise an error if two records of a folder name different experiments.
 
     Raises
     ------
     OtherExperimentError
-        They do not; with both values.
+         They differ; contains both values.
     """
-    ours, theirs = experiment_text(one), experiment_text(other)
-    if ours != theirs:
+    text, other_text = experiment_text(row), experiment_text(other_row)
+    if text != other_text:
         raise OtherExperimentError(
-            f"{folder} holds two experiments: {its} tells of {ours}, {others} of {theirs}; "
+            f"{folder} holds two experiments: {name} tells of {text}, {other_name} of {other_text}; "
             "take out what does not belong here, or choose another folder with --data-dir"
         )
 
 
 def experiment_text(row: ExperimentRow) -> str:
-    """Name what makes an experiment: configuration and hour 0."""
+    """Return configuration hash and hour 0, which identify an experiment."""
     return f"configuration {row.configuration_hash}, hour 0 at {format_utc(row.epoch_utc_ns)}"
 
 
-def _crc32(told: object) -> int:
-    return zlib.crc32(orjson.dumps(told))
+def _crc32(columns: object) -> int:
+    """Compute the checksum of the row's columns."""
+    return zlib.crc32(orjson.dumps(columns))

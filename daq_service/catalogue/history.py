@@ -1,11 +1,11 @@
-"""``history.jsonl``: what nobody can compute again, beside the catalogue that may be lost.
+"""Read and write ``history.jsonl``: data that cannot be recomputed, in case the catalogue is lost.
 
-Append-only lines of JSON, each with a running number and a CRC-32 of what stands behind it: the experiment,
-every event (gaps, alarms and their acknowledgements, retirements, holds and what the supply said are events
-with their whole rows), every order in each state that it went through, the SHA-256 of every set's file.
+Append-only lines of JSON, each with an index and a CRC-32 of the rest: the experiment, every event (gaps,
+alarms, acknowledgements, retirements, holds and supply states are events with their complete rows), every
+command in each of its states, the SHA-256 of every set's file.
 
-The recorder alone writes. The history follows the catalogue: what it lacks is appended while the recorder
-waits and at each start, so a crash, a full disk or a torn line costs nothing that the catalogue still has.
+The recorder alone writes. The history follows the catalogue: missing lines are appended while the recorder
+waits and at each start, so a crash, a full disk or a truncated line loses nothing that the catalogue has.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
 log = logging.getLogger(__name__)
 
 FOLLOW_EVERY_S = 1.0
-"""How far the history may be behind: whoever loses the catalogue within a second has lost the disk."""
+"""Maximum delay of the history behind the catalogue."""
 TAIL_BYTES = 4_000_000
-"""What a start reads of a long one."""
+"""Maximum size that a start reads from the end of a history."""
 EVENTS_AT_ONCE = 5_000
-"""A folder older than its history may have a million."""
+"""Maximum number of events per step; a folder older than its history may have a million."""
 _HOLE = b"\0\0"
 """No flipped bit makes two of them, and JSON has none."""
 _HEAD = b'{"crc32":"'
@@ -46,17 +46,17 @@ _BODY = len(_HEAD) + 10
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class History:
-    """What a history tells; the last line of an id counts.
+    """Contents of a history; the last line of an id is valid.
 
     Attributes
     ----------
     digests
         SHA-256 by the name of a set's file.
     last_number
-        Of its newest line, 0 before the first.
+         Index of its newest line, 0 before the first.
     damage
-        Lines that cannot be read, and numbers that are missing. A line that was torn while it was written,
-        and written again, is none.
+        Unreadable and missing lines. A line that was truncated while it was written, and written again, is
+        not listed.
     """
 
     experiment: ExperimentRow | None = None
@@ -67,7 +67,7 @@ class History:
     damage: list[str] = field(default_factory=list)
 
     def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
-        """Add what a line says."""
+        """Add the contents of a line."""
         self.last_number = number
         match table:
             case "experiment":
@@ -81,7 +81,7 @@ class History:
 
 
 def line_of(number: int, table: str, row: Mapping[str, Any]) -> bytes:
-    """Line of a row."""
+    """Return the line of a row."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
 
@@ -92,7 +92,7 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
     Parameters
     ----------
     tail_bytes
-        Read no more than this of its end.
+         Read only this much of its end.
 
     Raises
     ------
@@ -102,26 +102,26 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
     try:
         with patiently(lambda: (folder / HISTORY_FILE).open("rb")) as file:
             size = file.seek(0, os.SEEK_END)
-            begin = 0 if tail_bytes is None else max(0, size - tail_bytes)
-            file.seek(begin)
+            start = 0 if tail_bytes is None else max(0, size - tail_bytes)
+            file.seek(start)
             content = file.read()
     except FileNotFoundError:
         return History()
-    return parsed(content if begin == 0 else content.partition(b"\n")[2], whole=begin == 0)
+    return parse_lines(content if start == 0 else content.partition(b"\n")[2], whole=start == 0)
 
 
-def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
-    """Take the lines in; ``whole`` False: the first ones are missing; damage is told by the file's name."""
+def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
+    """Parse lines; ``whole`` False: the first ones are missing; damage names the file."""
     history = History()
     lines = content.split(b"\n")
     unreadable: list[int] = []
-    for place, line in enumerate(lines, start=1):
-        told = parsed_line(line)
-        if told is None:
-            # An empty line is where a new one was begun after a torn one.
-            unreadable += [place] if line else []
+    for line_number, line in enumerate(lines, start=1):
+        parsed = parse_line(line)
+        if parsed is None:
+            # An empty line marks the start of a new line after a truncated one.
+            unreadable += [line_number] if line else []
             continue
-        number, table, row = told
+        number, table, row = parsed
         expected = history.last_number + 1
         if number != expected and (whole or history.last_number):
             at = f", damaged at line {unreadable[0]}" if unreadable else ""
@@ -131,27 +131,27 @@ def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> H
             history.take(number, table, row)
         except (TypeError, LookupError) as error:
             history.damage.append(f"{name}, line {number}: {error}")
-    # One line without an end, or with a hole where a page was, was being written when the power went: nobody
-    # was told of its row yet.
+    # A last line without end, or with a page of zeros, was interrupted by a power cut before its row was
+    # acknowledged.
     torn = lines[-1] or (lines[-2] if len(lines) > 1 and _HOLE in lines[-2] else b"")
     if unreadable and (len(unreadable) > 1 or lines[unreadable[0] - 1] is not torn):
         history.damage.append(f"{name} is damaged at line {unreadable[0]}, near its end")
     return history
 
 
-def parsed_line(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
-    """Read number, table and row of a line; None where it is damaged."""
+def parse_line(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
+    """Parse index, table and row of a line; None if it is corrupt."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
-            told = orjson.loads(line)
-            return told["n"], told["table"], told["row"]
+            fields = orjson.loads(line)
+            return fields["n"], fields["table"], fields["row"]
     except (ValueError, TypeError, LookupError):
         return None
     return None
 
 
 class HistoryFollower:
-    """Appends what the catalogue has and the history has not; trouble with it costs the test nothing."""
+    """Appends catalogue rows that the history lacks; its errors do not affect the test."""
 
     def __init__(
         self, folder: Path, catalogue: Catalogue, *, mono_s: Callable[[], float] = time.monotonic
@@ -160,13 +160,13 @@ class HistoryFollower:
         self._mono_s = mono_s
         self._next_s = 0.0
         self._known: History | None = None
-        self._answered = 0
-        self._filed: dict[str, str] = {}
+        self._last_answered = 0
+        self._new_digests: dict[str, str] = {}
         self._refusal = ""
 
-    def filed(self, file: str, sha256: str) -> None:
-        """Take in that the catalogue knows the SHA-256 of a set's file now."""
-        self._filed[file] = sha256
+    def note_digest(self, file: str, sha256: str) -> None:
+        """Add the SHA-256 of a set's file, which the catalogue now has."""
+        self._new_digests[file] = sha256
 
     def begin(self) -> None:
         """Compare the history with the catalogue, and bring it up to date.
@@ -174,9 +174,9 @@ class HistoryFollower:
         Raises
         ------
         OtherExperimentError
-            It tells of another experiment.
+             The history belongs to another experiment.
         CatalogueDamagedError
-            It knows more than the catalogue, which has lost rows.
+             The catalogue lacks rows of the history.
         """
         try:
             history = read_history(self._folder, tail_bytes=TAIL_BYTES)
@@ -191,19 +191,19 @@ class HistoryFollower:
                 HISTORY_FILE,
                 self._folder,
             )
-        if lacking := lacks_rows_of(history, self._catalogue):
-            raise CatalogueDamagedError(f"{self._folder / FILE_NAME} {lacking}")
+        if missing := lacks_rows_of(history, self._catalogue):
+            raise CatalogueDamagedError(f"{self._folder / FILE_NAME} {missing}")
         self.follow(now=True)
 
     def follow(self, *, now: bool = False) -> None:
-        """Append what is new, at most once a second."""
+        """Append new rows, at most once per second."""
         if not now and self._mono_s() < self._next_s:
             return
         self._next_s = self._mono_s() + FOLLOW_EVERY_S
         try:
             self._append()
         except (OSError, StorageError) as error:
-            # What it holds is unsure now: it is looked at again.
+            # Its contents are unknown now, so it is read again.
             self._known = None
             if str(error) != self._refusal:
                 log.warning("%s is behind the catalogue and follows later: %s", HISTORY_FILE, error)
@@ -212,58 +212,60 @@ class HistoryFollower:
             self._refusal = ""
 
     def _append(self) -> None:
+        """Append missing lines until there are none."""
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
-            self._answered = 0
-            # A crash may have come between a digest and its line, of one of the sets that the end tells of.
-            told = _sets_of(self._known.events.values())
-            self._filed |= self._digests(min(told), None) if told else {}
+            self._last_answered = 0
+            # A crash may have occurred between a digest and its line, for one of the sets at its end.
+            set_indices = _sets_of(self._known.events.values())
+            self._new_digests |= self._digests(min(set_indices), None) if set_indices else {}
         while lines := self._lines(self._known):
             append_durably(self._folder / HISTORY_FILE, lines)
-            self._filed.clear()
+            self._new_digests.clear()
 
     def _lines(self, known: History) -> list[bytes]:
-        """Lines that the history lacks, of a long test some."""
+        """Return the next lines that the history lacks."""
         last_id = max(known.events, default=0)
         events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
-        orders = self._orders()
+        commands = self._open_commands()
         # Where sets have no journal, their rows come with the digest.
-        told = _sets_of(events)
-        files = self._filed | (self._digests(min(told), max(told)) if told else {})
-        news: list[tuple[str, Mapping[str, Any]]] = []
+        set_indices = _sets_of(events)
+        files = self._new_digests | (self._digests(min(set_indices), max(set_indices)) if set_indices else {})
+        new_rows: list[tuple[str, Mapping[str, Any]]] = []
         if not known.last_number:
-            news.append(("experiment", values(self._catalogue.experiment_row())))
-        news += [("events", values(row)) for row in events]
-        news += [("commands", values(row)) for row in orders if known.commands.get(row.id) != row]
-        news += [
+            new_rows.append(("experiment", values(self._catalogue.experiment_row())))
+        new_rows += [("events", values(row)) for row in events]
+        new_rows += [("commands", values(row)) for row in commands if known.commands.get(row.id) != row]
+        new_rows += [
             ("files", {"file": file, "file_sha256": sha256})
             for file, sha256 in files.items()
             if known.digests.get(file) != sha256
         ]
-        lines = [line_of(known.last_number + n, *row) for n, row in enumerate(news, start=1)]
-        # Nothing is remembered but what is asked for again, however long the test.
+        lines = [line_of(known.last_number + n, *row) for n, row in enumerate(new_rows, start=1)]
+        # Keep only what is needed again, so that memory does not grow with the test.
         known.last_number += len(lines)
         known.events = {row.id: row for row in [*known.events.values(), *events][-1:] if row.id}
-        known.commands = {row.id: row for row in orders}
+        known.commands = {row.id: row for row in commands}
         known.digests = files if files else known.digests
         return lines
 
     def _digests(self, first: int, last: int | None) -> dict[str, str]:
+        """Return the SHA-256 of the files of a range of sets."""
         rows = self._catalogue.rows(SetRow, first_set=first, last_set=last)
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
-    def _orders(self) -> list[CommandRow]:
-        """Orders that may have changed: those behind the first ones that never will again."""
-        orders = self._catalogue.rows(CommandRow, after_id=self._answered)
-        for order in orders:
-            if order.state not in ANSWERS:
+    def _open_commands(self) -> list[CommandRow]:
+        """Return the commands that may still change: those after the first answered ones."""
+        commands = self._catalogue.rows(CommandRow, after_id=self._last_answered)
+        for command in commands:
+            if command.state not in ANSWERS:
                 break
-            self._answered = order.id
-        return orders
+            self._last_answered = command.id
+        return commands
 
 
 def lacks_rows_of(history: History, catalogue: Catalogue) -> str:
-    """State that a catalogue lacks the history's newest event, as an older copy does; empty: it has it."""
+    """Describe that the catalogue lacks the newest event of the history; empty if it has it."""
     last_id = max(history.events, default=0)
     if not last_id or catalogue.rows(EventRow, after_id=last_id - 1, limit=1) == [history.events[last_id]]:
         return ""
@@ -271,7 +273,7 @@ def lacks_rows_of(history: History, catalogue: Catalogue) -> str:
 
 
 def lost_rows(last_id: int) -> str:
-    """State that a catalogue lacks an event of the history."""
+    """Describe that the catalogue lacks an event of the history."""
     return (
         f"has lost rows: {HISTORY_FILE} knows event {last_id}; `solimon rebuild` makes the catalogue again "
         "from sets, journal and history"
@@ -284,7 +286,7 @@ def _sets_of(events: Iterable[EventRow]) -> list[int]:
 
 
 def append_durably(path: Path, lines: Iterable[bytes]) -> None:
-    """Add whole lines to a file, behind an end that was torn, and sync it.
+    """Append complete lines to a file, after a truncated end, and sync it.
 
     Raises
     ------

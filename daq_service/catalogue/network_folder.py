@@ -1,4 +1,4 @@
-"""Tell whether a folder is on a network, where SQLite's locks and shared memory cannot be trusted."""
+"""Detect folders on a network, where SQLite's locks and shared memory are unreliable."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOUNTS = Path("/proc/self/mountinfo")
 
 
 def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
-    """Type of the network file system that holds ``path``, or None where it is local or cannot be told.
+    """Return the type of the network file system of ``path``; None if local or unknown.
 
     Parameters
     ----------
@@ -32,11 +32,11 @@ def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path
     mountinfo
         Text of Linux's ``/proc/self/mountinfo`` (proc(5)); None reads ``mounts``.
     mounts
-        Where this machine's is.
+         Path of this machine's file.
 
     Notes
     -----
-    Linux and Windows can tell; on other systems the answer is always None.
+    Works on Linux and Windows; on other systems the result is always None.
     """
     if mountinfo is None and sys.platform == "win32":
         return _windows_network_drive(path)
@@ -44,7 +44,7 @@ def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path
         try:
             mountinfo = mounts.read_text(encoding="utf-8", errors="surrogateescape")
         except OSError:
-            # No such file on macOS and others: it cannot be told.
+            # No such file on macOS and others: the type is unknown.
             return None
         path = path.resolve()
     kind = _filesystem_type(path.as_posix(), mountinfo)
@@ -54,27 +54,28 @@ def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path
 
 
 def _filesystem_type(path: str, mountinfo: str) -> str:
-    """Type of the last mounted file system whose mount point is nearest above ``path``."""
+    """Return the type of the last mounted file system with the nearest mount point above ``path``."""
     place = PurePosixPath(path)
     nearest, kind = -1, ""
     for line in mountinfo.splitlines():
-        left, separator, right = line.partition(" - ")
-        fields = left.split()
-        if not separator or len(fields) < 5 or not right.split():
+        mount, separator, filesystem = line.partition(" - ")
+        fields = mount.split()
+        if not separator or len(fields) < 5 or not filesystem.split():
             continue
         mount_point = PurePosixPath(_unescape(fields[4]))
         # ">=": a later mount on the same point hides the earlier one.
         if place.is_relative_to(mount_point) and len(mount_point.parts) >= nearest:
-            nearest, kind = len(mount_point.parts), right.split()[0]
+            nearest, kind = len(mount_point.parts), filesystem.split()[0]
     return kind
 
 
 def _unescape(text: str) -> str:
-    r"""Blank, tab, newline and backslash are written as ``\040`` and the like."""
+    r"""Decode blank, tab, newline and backslash, which are written as ``\040`` etc."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), text)
 
 
 def _windows_network_drive(path: Path) -> str | None:
+    """Return the kind of network drive of a path on Windows; None if local."""
     if sys.platform != "win32":
         return None
     anchor = path.resolve().anchor

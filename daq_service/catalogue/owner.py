@@ -1,4 +1,4 @@
-"""Whose folder it is: the test that its catalogue began, of whatever revision, compared with ours."""
+"""Compare the test of a catalogue of any revision with the present settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simulator.parameters.experiment import TWIN_VERSION
 
 
 def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
-    """Go on only where the next set measures the same as the first one.
+    """Raise an error unless the next set measures the same as the first one.
 
     Raises
     ------
@@ -28,20 +28,20 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         columns = (experiment.c[name] for name in ExperimentRow.__slots__)
         found = connection.execute(select(*columns)).one_or_none()
         if found is None:
-            return  # nobody's yet
+            return  # no test yet
         lines = _other_versions(connection, settings)
     refuse_other_experiment(ExperimentRow(**found._mapping), path.parent, settings, lines)
 
 
 def experiment_identity(row: ExperimentRow) -> str:
-    """Tell tests apart in what is derived from one and kept beside it."""
+    """Return the identifier of a test for derived data."""
     return f"{row.configuration_hash}/{row.epoch_utc_ns}"
 
 
 def refuse_other_experiment(
     row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
 ) -> None:
-    """Do the same for an experiment that is known from elsewhere; ``lines`` say what else differs.
+    """Raise an error if an experiment has another configuration; ``lines`` lists other differences.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def refuse_other_experiment(
 
 
 def _other_versions(connection: Connection, settings: Settings) -> list[str]:
-    """Say which extractor, or which twin, is not the one that the folder's last rows come from."""
+    """List extractors and twin whose version differs from that of the folder's last rows."""
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo
     from analysis.waves import features as solitary_wave
@@ -81,11 +81,12 @@ def _other_versions(connection: Connection, settings: Settings) -> list[str]:
 
 
 def _newest(connection: Connection, table: Table) -> Any:
+    """Return the extractor version of the newest row."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 
 def _twin_version(connection: Connection) -> Any:
-    """Version that the last recorder stated; the first one in a folder from before any was stated."""
+    """Return the twin version of the last recorder; "1" if none was stored."""
     started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
     payload = connection.execute(started.limit(1)).scalar()
     return None if payload is None else payload.get("versions", {}).get("twin", "1")

@@ -1,6 +1,6 @@
-"""Rows as others get them: the API, its client, and tables that are exported have these columns.
+"""Columns of rows in the API, its client, and exported tables.
 
-Times are RFC 3339 text beside hours of the experiment; a unit is in the name of its column.
+Times are RFC 3339 text, in addition to hours of the experiment; a unit is in the name of its column.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hardware_drivers.units import unit_of
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
 Purposes = Literal["planned", "confirmation", "any"]
-"""Which sets are meant: those of the plan, those beside it, or both."""
+"""Selected sets: scheduled sets, unscheduled sets, or both."""
 _FORMS: dict[Any, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
 
 
@@ -30,7 +30,7 @@ class PublishedColumn:
     nullable: bool
 
 
-BESIDE: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
+ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
     BaselineRow: (
         PublishedColumn(name="from_h", form="number", unit="h", nullable=False),
         PublishedColumn(name="from_utc", form="time", unit="", nullable=False),
@@ -41,10 +41,11 @@ BESIDE: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
     AssessmentRow: (PublishedColumn(name="quality", form="text", unit="", nullable=True),),
     AlarmRow: (PublishedColumn(name="proof_sentences", form="nested", unit="", nullable=False),),
 }
-"""What the service adds: hours and temperatures of a baseline, a judged quality, a proof in sentences."""
+"""Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
 
 
 def _part(name: str, form: Form = "number") -> PublishedColumn:
+    """Return the column of a nested value."""
     return PublishedColumn(name=name, form=form, unit="", nullable=True)
 
 
@@ -61,37 +62,38 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
         **{("cause_told", "probabilities", name): _part(f"probability_{name}") for name in (OK, *CAUSES)},
     },
 }
-"""What people look for in nested columns, as columns of tables; the nested ones are JSON text there."""
+"""Values of nested columns as columns of tables, where the nested ones are JSON text."""
 
 
-def with_parts(kind: type[Row], told: Mapping[str, Any]) -> dict[str, Any]:
-    """Add the columns of `PARTS` to a row; None where there is nothing."""
-    found = dict(told)
+def with_parts(kind: type[Row], row: Mapping[str, Any]) -> dict[str, Any]:
+    """Add the columns of `PARTS` to a row; None for missing values."""
+    extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
-        value: Any = told
+        value: Any = row
         for name in path:
             value = None if value is None else value.get(name)
-        found[column.name] = value
-    return found
+        extended[column.name] = value
+    return extended
 
 
 def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
-    """Columns of a kind of row in their order, the time of each hour and what is added behind them."""
-    found: dict[str, PublishedColumn] = {}
+    """Return the published columns of a kind of row, with times of hours and added columns."""
+    columns: dict[str, PublishedColumn] = {}
     for column in columns_of(kind):
         name, form = column.name, _form(column.type)
         if name == "utc_ns" or name.endswith("_utc_ns"):
             name, form = name.removesuffix("_ns"), "time"
         unit = unit_of(name) if form in ("number", "integer") else ""
-        found[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
-    for hours in [column for column in found.values() if column.unit == "h"]:
+        columns[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
+    for hours in [column for column in columns.values() if column.unit == "h"]:
         name = hours.name.removesuffix("_h") + "_utc"
         time = PublishedColumn(name=name, form="time", unit="", nullable=hours.nullable)
-        found.setdefault(name, time)
-    return (*found.values(), *BESIDE.get(kind, ()), *PARTS.get(kind, {}).values())
+        columns.setdefault(name, time)
+    return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
 def _form(of_type: Any) -> Form:
+    """Return the form of a column's type."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:
         return "text"

@@ -1,4 +1,4 @@
-"""Questions to the catalogue; every answer is rows (`catalogue.rows`) whose values are ready for JSON."""
+"""Query the catalogue; results are rows (`catalogue.rows`) with JSON-ready values."""
 
 from __future__ import annotations
 
@@ -51,19 +51,19 @@ R = TypeVar("R", bound=Row)
 OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, AssessmentRow)
 Scope = Literal["set", "shot"]
 
-_ASKED_AT_ONCE = 500
-"""Values in one condition."""
+_MAX_VALUES = 500
+"""Maximum number of values in one condition."""
 ACTIVE_STATES = ("acknowledged", "returned_unacknowledged", "unacknowledged")
 GAP_STATES = ("missed", "partial")
 ORDER_WITHIN_S = 60.0
-"""An order that nobody has begun to carry out within this time expires, if its giver says nothing else."""
+"""Default time after which a command that has not started expires."""
 
 
 class Filters(TypedDict, total=False):
-    """Which rows of a table are meant; what is left out or None excludes nothing.
+    """Conditions that select rows of a table; a missing or None condition selects all.
 
-    Of what belongs to sets only those of the plan are meant, unless a ``set_index`` or a ``purpose`` says
-    otherwise: no chart, trend or count takes in a confirmation set by mistake.
+      Only rows of scheduled sets are selected, unless a ``set_index`` or a ``purpose`` is given: charts,
+    trends and counts must not include a confirmation set.
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
     single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations
     any of their hours, of alarms when they were raised), ``withdrawn`` annotations or the others,
@@ -91,7 +91,7 @@ class Filters(TypedDict, total=False):
 
 
 _HOURS: Mapping[sa.Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
-"""First and last hour of what belongs to no set."""
+"""Columns of the first and last hour in tables without sets."""
 _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
@@ -115,7 +115,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
     "first_set": lambda table, index: table.c.set_index >= index,
     "last_set": lambda table, index: table.c.set_index <= index,
-    # As text in the statement: only then is it found in the index of this topic.
+    # Literal in the statement: only then SQLite uses the index of this topic.
     "topic": lambda table, topic: table.c.topic == sa.literal(topic, literal_execute=True),
     "purpose": lambda table, purpose: (
         sa.true()
@@ -125,23 +125,23 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         else table.c.set_index >= PLANNED_SETS
     ),
 }
-"""A filter that is not listed asks for a column's value; ``after_id`` is `_behind`."""
-_HOURS_BESIDE: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
+"""A filter that is not listed compares a column; ``after_id`` uses `_behind`."""
+_HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
 }
-"""Beside the plan hours do not rise with the index; there are few such sets."""
+"""Hours of unscheduled sets do not increase with the index; there are few such sets."""
 
 
 def in_plan(table: sa.FromClause) -> sa.ColumnElement[bool]:
-    """Choose what belongs to planned sets."""
+    """Return the condition that selects rows of scheduled sets."""
     return table.c.set_index < PLANNED_SETS
 
 
 def set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
-    """Find the first set due at an hour or later, or the last one due until then.
+    """Return the query for the first set due at an hour or later, or the last one until then.
 
-    Hours rise with the index of the set: so a range of hours is a range of sets, and read by index.
+    Hours increase with the set index, so a range of hours is a range of sets and uses an index.
     """
     due = sets if "position" in table.c else table
     found = sa.select(due.c.set_index).where(in_plan(due)).limit(1)
@@ -153,7 +153,7 @@ def set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LastWord:
+class LatestRows:
     """Newest rows of a position; ``last_feature`` is of a set."""
 
     position: str
@@ -166,9 +166,9 @@ class LastWord:
 
 
 class Catalogue:
-    """A catalogue open for reading; the one thing it writes is commands.
+    """Catalogue for reading; it writes only commands.
 
-    Made by `open_catalogue`. It may be shared between threads; close it, or use it as a context
+     Created by `open_catalogue`. Threads may share it; close it, or use it as a context
     manager. ``limit=None`` means all rows, ``after_id`` pages behind a row.
     """
 
@@ -191,57 +191,57 @@ class Catalogue:
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """Transaction that sees one state of the catalogue, for questions of several steps."""
+        """Open a transaction that sees one state of the catalogue, for several queries."""
         with translated(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
-        """Rows of a table in the order in which they were stored; of chosen sets in the order of the sets."""
+        """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
         return self._rows(kind, _of_kind(kind, limit, filters))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
-        """Rows of the last sets of a position (None: of all), in the order of the sets."""
+        """Return the rows of the last sets of a position (None: of all), in the order of the sets."""
         table = table_of(kind)
-        statement = chosen(sa.select(table), table, {**filters, "position": position})
+        statement = filtered(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
         return self._rows(kind, newest_first)[::-1]
 
     def newest_gaps(self, count: int) -> list[SetRow]:
-        """So many of the newest sets of each position that were missed, and of those that lack something."""
+        """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
         return self._rows(SetRow, _newest_gaps(count))
 
     def newest_recorded(self) -> SetRow | None:
-        """Return a row of the newest planned set that has records; None before it."""
+        """Return a row of the newest scheduled set with records; None before it."""
         return self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
 
     def newest_files(self, n_rows: int) -> dict[int, str]:
-        """Files that the newest rows of sets point at, by set index in order."""
+        """Return the files of the newest rows of sets, by set index in order."""
         with self.reading() as connection:
             return {row.set_index: row.file for row in connection.execute(_newest_files(n_rows))}
 
     def n_stored(self, position: str, first_set: int, last_set: int) -> int:
-        """Count the sets of a position that have records, between two indices that are included."""
-        chosen_sets = (sets.c.position == position) & sets.c.set_index.between(first_set, last_set)
+        """Count the sets of a position with records, between two indices (inclusive)."""
+        filtered_sets = (sets.c.position == position) & sets.c.set_index.between(first_set, last_set)
         with self.reading() as connection:
             return connection.execute(
                 sa.select(sa.func.count()).where(
-                    chosen_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0)
+                    filtered_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0)
                 )
             ).scalar_one()
 
     def first_reading(self, position: str) -> ThicknessRow | None:
-        """Tell the first pulse-echo result with a travel time; None before it."""
+        """Return the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)
-        statement = chosen(sa.select(table), table, {"position": position})
-        found = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
-        return found[0] if found else None
+        statement = filtered(sa.select(table), table, {"position": position})
+        rows = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
+        return rows[0] if rows else None
 
     def baselines_by_id(self) -> dict[int, BaselineRow]:
-        """Give every baseline by the id of its row."""
+        """Return every baseline by its id."""
         return {row.id: row for row in self.rows(BaselineRow) if row.id is not None}
 
     def columns(
@@ -253,7 +253,7 @@ class Catalogue:
         limit: int | None = None,
         **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
-        """Rows by column: name to the values of all rows in order.
+        """Return values by column: name to the values of all rows in order.
 
         Raises
         ------
@@ -265,18 +265,19 @@ class Catalogue:
             raise CatalogueError(f"{sorted(unknown)} are no columns of {of_table}")
         if not names:
             return {}
-        # Whole rows: only these can be compared with their checksums.
+        # Complete rows: only these can be compared with their checksums.
         with self.reading() as connection:
-            found = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
-        columns = dict(zip(kind.__slots__, zip(*found, strict=True), strict=False))
+            rows = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
+        columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
         return {name: list(columns.get(name, ())) for name in names}
 
     def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
+        """Read the rows of a query."""
         with self.reading() as connection:
-            return made(connection, kind, statement)
+            return read_rows(connection, kind, statement)
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
-        """Return the last stored row, of those that meet a condition; None where there is none."""
+        """Return the last stored row that meets a condition; None if there is none."""
         table = table_of(kind)
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._rows(kind, statement if condition is None else statement.where(condition))
@@ -285,12 +286,12 @@ class Catalogue:
     # The experiment as a whole
 
     def experiment_row(self) -> ExperimentRow:
-        """Name, configuration and its hash, epoch, clock.
+        """Return name, configuration and its hash, epoch, clock.
 
         Raises
         ------
         NoDataYetError
-            The experiment has not begun.
+            The experiment has not started.
         """
         row = self._newest_row(ExperimentRow)
         if row is None:
@@ -301,11 +302,11 @@ class Catalogue:
         return row
 
     def position_names(self) -> list[str]:
-        """Name every position that the experiment is configured for."""
+        """Return the names of all configured positions."""
         return list(self.experiment_row().configuration.get("positions", ()))
 
     def counts(self) -> dict[str, int]:
-        """Sizes of the experiment so far.
+        """Return the sizes of the experiment so far.
 
         Returns
         -------
@@ -315,44 +316,46 @@ class Catalogue:
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
         with self.reading() as connection:
-            (row,) = made(connection, CountsRow, sa.select(counts))
+            (row,) = read_rows(connection, CountsRow, sa.select(counts))
             n_alarms = connection.execute(
-                chosen(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
+                filtered(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
         return {name: number for name, number in values(row).items() if name != "id"} | {
             "active_alarms": n_alarms
         }
 
     def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
-        """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
+        """Return the files of all sets but these by set index; uses an index."""
         positions = self.position_names()
         with self.reading() as connection:
-            beside = connection.execute(_unscheduled_files())
-            found = {row.set_index: row.file for row in beside if row.set_index not in indices}
+            unscheduled = connection.execute(_unscheduled_files())
+            files = {row.set_index: row.file for row in unscheduled if row.set_index not in indices}
             last = connection.execute(_last_set_index()).scalar()
-            left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
-            for start in range(0, len(left), _ASKED_AT_ONCE):
-                some = left[start : start + _ASKED_AT_ONCE]
+            remaining = sorted(set(range(0 if last is None else last + 1)) - set(indices))
+            for start in range(0, len(remaining), _MAX_VALUES):
+                indices_of_step = remaining[start : start + _MAX_VALUES]
                 statement = (
                     sa.select(sets.c.set_index, sets.c.file)
                     .where(
-                        sets.c.position.in_(positions), sets.c.set_index.in_(some), sets.c.file.is_not(None)
+                        sets.c.position.in_(positions),
+                        sets.c.set_index.in_(indices_of_step),
+                        sets.c.file.is_not(None),
                     )
                     .distinct()
                 )  # a row a position
-                found |= {row.set_index: row.file for row in connection.execute(statement)}
-        return found
+                files |= {row.set_index: row.file for row in connection.execute(statement)}
+        return files
 
-    def positions_state(self) -> dict[str, LastWord]:
-        """Last word on each position that has a row in ``sets``."""
+    def positions_state(self) -> dict[str, LatestRows]:
+        """Return the newest rows of each position that has a row in ``sets``."""
         with self.reading() as connection:
             last_sets = _newest(connection, SetRow)
             last_features = _newest(connection, FeatureRow)
             last_assessments = _newest(connection, AssessmentRow)
             last_thicknesses = _newest(connection, ThicknessRow)
-            active = made(connection, AlarmRow, chosen(sa.select(alarms), alarms, {"active": True}))
+            active = read_rows(connection, AlarmRow, filtered(sa.select(alarms), alarms, {"active": True}))
         return {
-            position: LastWord(
+            position: LatestRows(
                 position=position,
                 method=row.method,
                 last_set=row,
@@ -369,20 +372,20 @@ class Catalogue:
         return self._newest_row(EnvironmentRow)
 
     def baseline(self, position: str) -> BaselineRow | None:
-        """Newest baseline of a position."""
+        """Return the newest baseline of a position."""
         return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
 
     def newest_baselines(self) -> dict[str, BaselineRow]:
-        """Newest baseline of each position that has one."""
-        return {row.position: row for row in self.rows(BaselineRow)}  # the newest stands last
+        """Return the newest baseline of each position that has one."""
+        return {row.position: row for row in self.rows(BaselineRow)}  # the newest is last
 
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
-        """Id of the newest row, 0 before the first: these count from 1, and none is ever taken away."""
+        """Return the id of the newest row, 0 before the first; ids count from 1 and no row is deleted."""
         with self.reading() as connection:
             return int(connection.execute(sa.select(sa.func.max(table_of(kind).c.id))).scalar_one() or 0)
 
     def alarm(self, alarm_id: int) -> AlarmRow | None:
-        """One alarm, None where there is no such id."""
+        """Return one alarm, None where there is no such id."""
         return self._newest_row(AlarmRow, alarms.c.id == alarm_id)
 
     # Events and commands
@@ -390,42 +393,42 @@ class Catalogue:
     def events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
     ) -> list[EventRow]:
-        """Events behind an id, in order."""
+        """Return the events after an id, in order."""
         return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
     def last_service_event(self, *kinds: str) -> EventRow | None:
-        """Newest event of the service itself of one of these kinds, None where there is none."""
-        told = chosen(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
-        newest = told.where(events.c.kind.in_(kinds)).scalar_subquery()
+        """Return the newest event of the service of one of these kinds; None if there is none."""
+        last_id = filtered(sa.select(sa.func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
+        newest = last_id.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._newest_row(EventRow, events.c.id == newest)
 
     def last_event(self, topic: str) -> EventRow | None:
-        """Newest event of a topic that is told with every set; None where there is none."""
+        """Return the newest event of a topic that every set reports; None if there is none."""
         return self._newest_row(EventRow, events.c.topic == topic)
 
     def held(self) -> str | None:
-        """Who holds the test and why, None while nobody does."""
-        told = self.last_service_event("hold", "release")
-        return None if told is None else told.payload["held"] or None
+        """Return who holds the test and why; None if it is not held."""
+        event = self.last_service_event("hold", "release")
+        return None if event is None else event.payload["held"] or None
 
     def last_event_id(self) -> int:
-        """Id of the newest event, 0 before the first."""
+        """Return the id of the newest event, 0 before the first."""
         with self.reading() as connection:
             return int(connection.execute(sa.select(sa.func.max(events.c.id))).scalar_one() or 0)
 
     def command(self, command_id: int) -> CommandRow | None:
-        """One command, None where there is no such id."""
+        """Return one command, None where there is no such id."""
         return self._newest_row(CommandRow, commands.c.id == command_id)
 
     def add_command(
         self, author: str, kind: str, arguments: dict[str, Any], *, within_s: float = ORDER_WITHIN_S
     ) -> int:
-        """Write an operator's order for the recorder and return its id.
+        """Write an operator's command for the recorder and return its id.
 
         Parameters
         ----------
         within_s
-            An order that is not begun within this time expires.
+             A command that has not started within this time expires.
 
         Raises
         ------
@@ -448,12 +451,14 @@ class Catalogue:
             return stored_command(connection, row)
 
     def _for_commands(self) -> sa.Engine:
+        """Return the engine that writes commands."""
         if self._command_engine is None:
             self._command_engine = make_engine(self._path, writable=True)
         return self._command_engine
 
 
-def _counted_due_times(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
+def _due_time_counts_statement(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
+    """Return the query that counts due times from their rows."""
     lacking = sa.case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
     missed = sa.case((sets.c.state == "missed", 1), else_=0)
     due_times = sa.select(
@@ -470,12 +475,12 @@ def _counted_due_times(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
     ).select_from(found)
 
 
-_OF_ALL_SETS = _counted_due_times()
-_OF_SOME_SETS = _counted_due_times(sets.c.set_index.in_(sa.bindparam("indices", expanding=True)))
+_OF_ALL_SETS = _due_time_counts_statement()
+_OF_SOME_SETS = _due_time_counts_statement(sets.c.set_index.in_(sa.bindparam("indices", expanding=True)))
 
 
 def due_time_counts(connection: sa.Connection, indices: Collection[int] | None = None) -> dict[str, int]:
-    """Count due times (`CountsRow`) by reading their rows: of some sets, or (None) of all."""
+    """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
     if indices is None:
         found = connection.execute(_OF_ALL_SETS)
     else:
@@ -483,43 +488,43 @@ def due_time_counts(connection: sa.Connection, indices: Collection[int] | None =
     return dict(found.mappings().one())
 
 
-def chosen(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
-    """Narrow a question down to some rows of a table, and put it in their order."""
-    given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
+def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
+    """Add filters and order to a query of a table."""
+    values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
-    if "set_index" in table.c and table is not events and "set_index" not in given:
-        given.setdefault("purpose", "planned")
-    in_hours = _HOURS_BESIDE if given.get("purpose", "planned") != "planned" else {}
-    ends = given.keys() & {"last_h", "last_set"}
-    for name, value in given.items():
-        condition = in_hours.get(name) or _CONDITIONS.get(name)
-        if name == "purpose" and value == "planned" and ends:
-            # A sum is in no index: the range that is asked for ends the search, and not that of the plan.
+    if "set_index" in table.c and table is not events and "set_index" not in values:
+        values.setdefault("purpose", "planned")
+    hour_conditions = _HOURS_OF_UNSCHEDULED if values.get("purpose", "planned") != "planned" else {}
+    bounds = values.keys() & {"last_h", "last_set"}
+    for name, value in values.items():
+        condition = hour_conditions.get(name) or _CONDITIONS.get(name)
+        if name == "purpose" and value == "planned" and bounds:
+            # A sum is not indexed: so the requested range ends the search, not that of the plan.
             statement = statement.where(table.c.set_index + 0 < PLANNED_SETS)
             continue
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
-    # Indices begin with what is asked for and go on with the set: so a page needs no sorting.
-    of_a_test = given.keys() <= {"scope", "purpose"} and given.get("purpose") != "confirmation"
-    by_set = "set_index" in table.c and table is not events and not of_a_test
+    # Indices start with the filtered column, then the set: so a page needs no sorting.
+    is_complete_test = values.keys() <= {"scope", "purpose"} and values.get("purpose") != "confirmation"
+    by_set = "set_index" in table.c and table is not events and not is_complete_test
     order = (*([table.c.set_index] if by_set else []), *table.primary_key.columns)
     if after_id is not None:
         statement = statement.where(_behind(table, order, after_id))
-    elif given.get("topic") in RARE_TOPICS:
-        # In the order of ids SQLite would read all events; sorting the few of the topic's index is nothing.
+    elif values.get("topic") in RARE_TOPICS:
+        # In the order of ids SQLite would read all events; sorting the few events of a topic is fast.
         return statement.order_by(sa.text("+events.id"))
     return statement.order_by(*order)
 
 
 def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int) -> sa.ColumnElement[bool]:
-    """Rows that follow one in an order."""
+    """Return the condition for rows after one in an order."""
     if len(order) == 1:
         return order[0] > row_id
-    place = [sa.select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
-    return (order[0] >= place[0]) & (sa.tuple_(*order) > sa.tuple_(*place))
+    values = [sa.select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
+    return (order[0] >= values[0]) & (sa.tuple_(*order) > sa.tuple_(*values))
 
 
 def stored_command(connection: sa.Connection, row: CommandRow) -> int:
-    """Store an order under the next id, which is returned; the caller holds the write lock."""
+    """Store a command under the next id and return it; the caller holds the write lock."""
     row = replace(
         row, id=int(connection.execute(sa.select(sa.func.max(commands.c.id))).scalar_one() or 0) + 1
     )
@@ -528,25 +533,26 @@ def stored_command(connection: sa.Connection, row: CommandRow) -> int:
 
 
 def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
-    return chosen(sa.select(table_of(kind)), table_of(kind), filters).limit(limit)
+    """Return the query for the filtered rows of a kind."""
+    return filtered(sa.select(table_of(kind)), table_of(kind), filters).limit(limit)
 
 
-def made(connection: sa.Connection, kind: type[R], statement: sa.Select[Any]) -> list[R]:
-    """Rows of a statement that asks for a table's columns, each compared with its checksum."""
+def read_rows(connection: sa.Connection, kind: type[R], statement: sa.Select[Any]) -> list[R]:
+    """Read the complete rows of a query and compare each with its checksum."""
     return list(checked_rows(connection, kind, statement))
 
 
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Row of the highest set index of each position that has a row in ``sets``."""
-    return {row.position: row for row in made(connection, kind, _newest_of(table_of(kind)))}
+    """Return the row of the highest set index of each position in ``sets``."""
+    return {row.position: row for row in read_rows(connection, kind, _newest_of(table_of(kind)))}
 
 
-# Statements of several steps: to put one together takes longer than to answer it -----------------------
+# Statements of several steps: building one takes longer than executing it ------------------------------
 
 
-def _places() -> sa.CTE:
-    """Name the positions that have a row in ``sets``."""
-    # One step in the index leads to the next name, however many sets have it.
+def _position_names() -> sa.CTE:
+    """Return the query for the positions that have a row in ``sets``."""
+    # One index step finds the next name, independent of the number of sets.
     first = sa.select(sa.func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = sa.select(sa.func.min(sets.c.position)).where(sets.c.position > first.c.position)
     return first.union_all(sa.select(following.scalar_subquery()).where(first.c.position.is_not(None)))
@@ -554,47 +560,56 @@ def _places() -> sa.CTE:
 
 @cache
 def _newest_of(table: sa.Table) -> sa.Select[Any]:
-    places, of_place = _places(), table.alias("of_place")
-    newest = sa.select(of_place.c.id).where(of_place.c.position == places.c.position, in_plan(of_place))
+    """Return the query for the newest row of each position."""
+    names, of_position = _position_names(), table.alias("of_place")
+    newest = sa.select(of_position.c.id).where(
+        of_position.c.position == names.c.position, in_plan(of_position)
+    )
     if table is features:  # of a set
-        newest = newest.where(of_place.c.shot_index.is_(None))
-    last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
-    return sa.select(table).join(places, table.c.id == last)
+        newest = newest.where(of_position.c.shot_index.is_(None))
+    last = newest.order_by(of_position.c.set_index.desc()).limit(1).scalar_subquery()
+    return sa.select(table).join(names, table.c.id == last)
 
 
 @cache
 def _last_set_index() -> sa.Select[Any]:
-    places = _places()
+    """Return the query for the highest set index."""
+    names = _position_names()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
-        sets.c.position == places.c.position, in_plan(sets)
+        sets.c.position == names.c.position, in_plan(sets)
     )
-    return sa.select(sa.func.max(newest.scalar_subquery())).select_from(places)
+    return sa.select(sa.func.max(newest.scalar_subquery())).select_from(names)
 
 
 @cache
 def _unscheduled_files() -> sa.Select[Any]:
+    """Return the query for the files of unscheduled sets."""
     files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
     return files.order_by(sets.c.set_index)
 
 
 @cache
 def _newest_files(n_rows: int) -> sa.Select[Any]:
+    """Return the query for the files of the newest rows of sets."""
     newest = sa.select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
     return sa.select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
 
 
 @cache
 def _newest_gaps(count: int) -> sa.Select[Any]:
-    places, of_place = _places(), sets.alias("of_place")
+    """Return the query for the newest gaps of each position."""
+    names, of_position = _position_names(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(
         "states"
     )
     newest = (
-        sa.select(of_place.c.id)
+        sa.select(of_position.c.id)
         .where(
-            of_place.c.position == places.c.position, of_place.c.state == states.c.state, in_plan(of_place)
+            of_position.c.position == names.c.position,
+            of_position.c.state == states.c.state,
+            in_plan(of_position),
         )
-        .order_by(of_place.c.set_index.desc())
+        .order_by(of_position.c.set_index.desc())
         .limit(count)
     )
-    return sa.select(sets).select_from(places.join(states, sa.true()).join(sets, sets.c.id.in_(newest)))
+    return sa.select(sets).select_from(names.join(states, sa.true()).join(sets, sets.c.id.in_(newest)))

@@ -2,7 +2,7 @@
 
 Tables (`tables`), the API's answers (`web.answers.models`) and the payloads of events are made from
 these. Times are integer nanoseconds of UTC, values SI with the unit in the name; None is "not
-available", never zero. An id is None until its row is stored. A text beside a type describes the
+available", never zero. An id is None until its row is stored. A text in `Annotated` describes the
 column in the API.
 """
 
@@ -51,7 +51,7 @@ class ExperimentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetRow(Row):
-    """One set of one position; partial: what was taken is stored, missed: nothing was."""
+    """One set of one position; partial: some records are stored, missed: none."""
 
     id: int | None = None
     set_index: int
@@ -143,7 +143,7 @@ class ThicknessRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnvironmentRow(Row):
-    """What supply and climate probe said around a set; None where nothing was heard."""
+    """Values of supply and climate probe around a set; None if not available."""
 
     id: int | None = None
     set_index: int
@@ -168,9 +168,9 @@ class EnvironmentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaselineRow(Row):
-    """A baseline; once frozen its numbers are never updated, a new one gets a new id.
+    """A baseline; its numbers never change once it is frozen, a new one gets a new id.
 
-    The first one of a position has its row when it is frozen, a successor when it begins to collect.
+    The first baseline of a position gets its row when it is frozen, a later one when its collection starts.
     """
 
     id: int | None = None
@@ -186,7 +186,7 @@ class BaselineRow(Row):
     limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
     limit_paper: float | None = None
     limit_reason: str | None = None  # why there is no limit
-    approval: str  # "automatic", "by_a_person" until somebody has signed, or the name of who did
+    approval: str  # "automatic", "by_a_person" until a person approves, or the name of that person
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
     limits: Annotated[
         dict[str, float] | None,
@@ -207,7 +207,7 @@ class BaselineRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssessmentRow(Row):
-    """What novelty detection says of a set."""
+    """Assessment of a set by novelty detection."""
 
     id: int | None = None
     set_index: int
@@ -219,7 +219,7 @@ class AssessmentRow(Row):
     limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
     limit_f: float | None = None  # as in `BaselineRow`
     limit_paper: float | None = None
-    outlier: bool | None = None  # None: not judged, see reason
+    outlier: bool | None = None  # None: not assessed, see reason
     outlier_paper: bool | None = None
     reason: str | None = None
     contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
@@ -252,7 +252,7 @@ class AssessmentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmRow(Row):
-    """One alarm (ISA-18.2 states) with its proof; every change is an event too."""
+    """One alarm (ISA-18.2 states) with its evidence; every change is also an event."""
 
     id: int | None = None
     position: str | None  # None: the service itself
@@ -281,7 +281,7 @@ class AlarmRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnnotationRow(Row):
-    """What a person notes of an hour of the test, or of a range; it is withdrawn, never erased."""
+    """A person's note for an hour or a range of hours; it is withdrawn, never deleted."""
 
     id: int | None = None
     position: Annotated[str | None, "null: the whole test"] = None
@@ -296,7 +296,7 @@ class AnnotationRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventRow(Row):
-    """One piece of news: its ids are ordered, and never used again."""
+    """One event: its ids increase and are never used again."""
 
     id: int | None = None
     utc_ns: int  # experiment time
@@ -310,7 +310,7 @@ class EventRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRow(Row):
-    """An operator's order, and the recorder's answer.
+    """A command of an operator, and the recorder's answer.
 
     ``started`` is stored before the act: what a recorder died over is never carried out a second time.
     """
@@ -323,14 +323,14 @@ class CommandRow(Row):
     state: CommandState
     result: str | None = None
     finished_wall_utc_ns: int | None = None
-    deadline_wall_utc_ns: int | None = None  # not begun by then, it expires
+    deadline_wall_utc_ns: int | None = None  # if it has not started by then, it expires
     deadline_boot_ns: Annotated[int | None, "The same in ns of the boot `boot_id`, sleep included"] = None
     boot_id: str | None = None  # None where the system names no boot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountsRow(Row):
-    """Sizes of the plan's part so far, kept up with every commit, so that nobody counts; there is one row."""
+    """Current numbers of sets, records and events, updated with every commit; there is one row."""
 
     id: int = 1
     sets: int = 0  # due times with at least one record
@@ -343,7 +343,7 @@ class CountsRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrendBlockRow(Row):
-    """What some sets of a position say together; derived from their rows (see `pyramid`)."""
+    """Summary of some sets of a position, derived from their rows (see `rollups`)."""
 
     place: str  # position, pyramid, sets of the block, its first set
     block: bytes
@@ -357,36 +357,38 @@ MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingPro
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """A field of a row; ``told`` describes it in the API, None where its name does."""
+    """A field of a row; ``description`` is its text in the API, None if its name suffices."""
 
     name: str
     type: Any
     nullable: bool
-    told: str | None
+    description: str | None
 
 
 def columns_of(kind: type[Row]) -> tuple[Column, ...]:
-    """Columns of a kind of row, in order; the first one is the primary key."""
+    """Return the columns of a kind of row in order; the first one is the primary key."""
     columns = []
     hints = get_type_hints(kind, include_extras=True)
     for name in kind.__slots__:
         hint = hints[name]
-        of_type, told = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-        columns.append(Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), told=told))
+        of_type, description = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
+        columns.append(
+            Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), description=description)
+        )
     return tuple(columns)
 
 
 def measured(kind: type[Row]) -> tuple[str, ...]:
-    """Names of the values that a row of a measurement carries: those that may be missing."""
+    """Return the names of the nullable values of a measurement's row."""
     return tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")  # type: ignore[arg-type] # every kind of row is a dataclass
 
 
 def values(row: Row) -> dict[str, Any]:
-    """Value of each column by name, in order; what is nested is not copied."""
+    """Return the value of each column by name, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}
 
 
 def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
-    """Row as its event tells it: without an id that is not given out yet, ``last`` behind the others."""
-    told = {name: value for name, value in values(row).items() if name != "id" or value is not None}
-    return {name: told[name] for name in sorted(told, key=last.__eq__)}
+    """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
+    columns = {name: value for name, value in values(row).items() if name != "id" or value is not None}
+    return {name: columns[name] for name in sorted(columns, key=last.__eq__)}

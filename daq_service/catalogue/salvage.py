@@ -1,4 +1,4 @@
-"""What a catalogue, whole or damaged, still says of what nobody can compute again: its sound rows alone."""
+"""Read the sound rows of a possibly corrupt catalogue that cannot be recomputed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ R = TypeVar("R", bound=Row)
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Salvaged:
-    """As a `history.History`; ``damage`` tells of the rows that are not taken."""
+    """Sound rows, as in `history.History`; ``damage`` lists the corrupt ones."""
 
     experiment: ExperimentRow | None = None
     events: dict[int, EventRow] = field(default_factory=dict)
@@ -32,17 +32,17 @@ class Salvaged:
     damage: list[str] = field(default_factory=list)
 
 
-def salvaged(folder: Path) -> Salvaged:
-    """Read every sound row; nothing where there is no catalogue.
+def read_sound_rows(folder: Path) -> Salvaged:
+    """Read every sound row; empty if there is no catalogue.
 
     Raises
     ------
     CatalogueError
         It cannot be opened, or is an older one, which the recorder migrates.
     """
-    path, found = folder / FILE_NAME, Salvaged()
+    path, salvaged_rows = folder / FILE_NAME, Salvaged()
     if not path.is_file():
-        return found
+        return salvaged_rows
     engine = make_engine(path, writable=False)
     try:
         with translated(path, "reading"):
@@ -53,21 +53,21 @@ def salvaged(folder: Path) -> Salvaged:
                     "start the recorder of this version, which migrates it"
                 )
             with engine.begin() as connection:
-                tell = found.damage.append
-                for experiment in _sound(connection, ExperimentRow, tell):
-                    found.experiment = experiment
-                found.events = {row.id or 0: row for row in _sound(connection, EventRow, tell)}
-                found.commands = {row.id: row for row in _sound(connection, CommandRow, tell)}
-                for row in _sound(connection, SetRow, tell):
+                report = salvaged_rows.damage.append
+                for experiment in _sound_rows(connection, ExperimentRow, report):
+                    salvaged_rows.experiment = experiment
+                salvaged_rows.events = {row.id or 0: row for row in _sound_rows(connection, EventRow, report)}
+                salvaged_rows.commands = {row.id: row for row in _sound_rows(connection, CommandRow, report)}
+                for row in _sound_rows(connection, SetRow, report):
                     if row.file and row.file_sha256:
-                        found.digests[row.file] = row.file_sha256
+                        salvaged_rows.digests[row.file] = row.file_sha256
     finally:
         engine.dispose()
-    return found
+    return salvaged_rows
 
 
-def _sound(connection: Connection, kind: type[R], tell: Callable[[str], None]) -> Iterator[R]:
-    """Rows that are what was stored; where a page is damaged, those before and behind it."""
+def _sound_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
+    """Yield the rows that match their checksum; around a corrupt page those before and after it."""
     table = table_of(kind)
     key = table.primary_key.columns[0]
     for backwards in (False, True):
@@ -82,6 +82,6 @@ def _sound(connection: Connection, kind: type[R], tell: Callable[[str], None]) -
                 except UnicodeDecodeError:
                     raise  # the reading itself ended
                 except (DamagedRow, TypeError, ValueError, OverflowError) as error:
-                    tell(f"table {table.name}: {error}")
+                    report(f"table {table.name}: {error}")
         except UNREADABLE as error:
-            tell(f"table {table.name}: {str(error).partition(chr(10))[0]}")
+            report(f"table {table.name}: {str(error).partition(chr(10))[0]}")

@@ -1,4 +1,4 @@
-"""Open the catalogue: the recorder makes and migrates it, everybody else waits until it is there."""
+"""Open the catalogue: the recorder creates and migrates it, all others wait until it exists."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from daq_service.catalogue.writer import RecorderCatalogue
 from daq_service.settings.tree import Settings
 
 CHECKED_WHOLE_BYTES = 64_000_000
-"""A recorder's start reads every row of a catalogue up to this size, some 2 s; of a larger one those that it
-needs, each with its checksum."""
+"""A recorder checks every row of a catalogue up to this size at its start, about 2 s; of a larger one only
+the rows that it needs."""
 
 __all__ = [
     "Catalogue",
@@ -60,7 +60,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     Raises
     ------
     NoDataYetError
-        Reader: the recorder has not begun the experiment yet.
+        Reader: the recorder has not started the experiment yet.
     NetworkFolderError
         The folder is on a network file system.
     SchemaVersionError
@@ -76,7 +76,7 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
 
 
 def open_for_one_command(folder: Path) -> RecorderCatalogue:
-    """Open the catalogue of a test that nobody records, which the caller owns: neither made nor migrated.
+    """Open the catalogue of a test without a recorder for writing; it is neither created nor migrated.
 
     Raises
     ------
@@ -84,12 +84,12 @@ def open_for_one_command(folder: Path) -> RecorderCatalogue:
         As `open_catalogue` for a reader; or it cannot be written.
     """
     path = folder / FILE_NAME
-    _open_reader(path).close()  # says what is wrong with it
+    _open_reader(path).close()  # raises the error of an invalid one
     return RecorderCatalogue(path, make_engine(path, writable=True))
 
 
 def open_for_a_while(folder: Path) -> RecorderCatalogue:
-    """Make a catalogue that is thrown away with its folder: nothing of it is durable."""
+    """Create a temporary catalogue that is deleted with its folder: nothing is durable."""
     path = folder / FILE_NAME
     engine = make_engine(path, writable=True, durable=False)
     with translated(path, "making"):
@@ -98,6 +98,7 @@ def open_for_a_while(folder: Path) -> RecorderCatalogue:
 
 
 def _refuse_network(folder: Path) -> None:
+    """Raise an error for a folder on a network."""
     kind = network_filesystem(folder)
     if kind is not None:
         raise NetworkFolderError(
@@ -107,12 +108,12 @@ def _refuse_network(folder: Path) -> None:
 
 
 def check_owner(settings: Settings, folder: Path) -> None:
-    """Compare a folder's test with ours before anything is written; older revisions are read, too.
+    """Compare a folder's test with the settings before anything is written, also of older revisions.
 
     Raises
     ------
     OtherExperimentError
-        It began with another configuration, extractor or twin: each with both values, and the way out.
+         Its configuration, extractor or twin differs; contains both values and the remedy.
     CatalogueDamagedError
         The catalogue is damaged, or it is lost and the file that names the experiment is.
     SchemaVersionError
@@ -121,33 +122,34 @@ def check_owner(settings: Settings, folder: Path) -> None:
     _refuse_network(folder)
     path = folder / FILE_NAME
     if not path.is_file():
-        kept = read_experiment(folder)
-        if kept is not None:
-            refuse_other_experiment(kept, folder, settings)
-        return  # nobody's yet, or its catalogue is lost
+        experiment = read_experiment(folder)
+        if experiment is not None:
+            refuse_other_experiment(experiment, folder, settings)
+        return  # no test yet, or its catalogue is lost
     engine = reading_engine(path)
     try:
         with translated(path, "opening"):
-            found = revision_of(engine)
-            if found is not None and found > SCHEMA_REVISION:
-                raise _other_schema(path, found)
-            if found is not None:
+            revision = revision_of(engine)
+            if revision is not None and revision > SCHEMA_REVISION:
+                raise _other_schema(path, revision)
+            if revision is not None:
                 refuse_other_test(engine, path, settings)
     finally:
         engine.dispose()
 
 
 def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
+    """Open, check and if necessary migrate the catalogue for the recorder."""
     engine = make_engine(path, writable=True)
     try:
         with translated(path, "opening"):
-            found = revision_of(engine)
-            if found == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
+            revision = revision_of(engine)
+            if revision == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
                 refuse_corruption(path.parent)
-            if settings is not None and found is not None and found <= SCHEMA_REVISION:
+            if settings is not None and revision is not None and revision <= SCHEMA_REVISION:
                 refuse_other_test(engine, path, settings)
-            if found != SCHEMA_REVISION:
-                migrate(engine, path, found)
+            if revision != SCHEMA_REVISION:
+                migrate(engine, path, revision)
         catalogue = RecorderCatalogue(path, engine)
     except BaseException:
         engine.dispose()
@@ -156,17 +158,18 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
 
 
 def _open_reader(path: Path) -> Catalogue:
-    waiting = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
+    """Open the catalogue of the current revision for reading."""
+    not_ready = NoDataYetError(f"{path}: no data yet; start `solimon record` or wait for it", path.parent)
     if not path.is_file():
-        raise waiting
+        raise not_ready
     engine = reading_engine(path)
     try:
         with translated(path, "opening"):
-            found = revision_of(engine)
-        if found is None:
-            raise waiting
-        if found != SCHEMA_REVISION:
-            raise _other_schema(path, found)
+            revision = revision_of(engine)
+        if revision is None:
+            raise not_ready
+        if revision != SCHEMA_REVISION:
+            raise _other_schema(path, revision)
         catalogue = Catalogue(path, engine)
         catalogue.experiment_row()
     except BaseException:
@@ -175,15 +178,16 @@ def _open_reader(path: Path) -> Catalogue:
     return catalogue
 
 
-def _other_schema(path: Path, found: str) -> SchemaVersionError:
+def _other_schema(path: Path, revision: str) -> SchemaVersionError:
+    """Return the error for another revision."""
     return SchemaVersionError(
-        f"{path} has schema {found}, this version of solimon reads {SCHEMA_REVISION}; "
+        f"{path} has schema {revision}, this version of solimon reads {SCHEMA_REVISION}; "
         "start the recorder of this version, which migrates it, or install the version that made it"
     )
 
 
 def revision_of(engine: Engine) -> str | None:
-    """Read the file's schema; None where there is none yet."""
+    """Read the revision of the file's schema; None if there is none yet."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):
             return None

@@ -1,4 +1,4 @@
-"""Tables of the catalogue (SQLAlchemy Core): made from `rows`, with what SQL needs beside.
+"""Tables of the catalogue (SQLAlchemy Core), derived from `rows` with keys, constraints and indices.
 
 `events` is append-only and its ids are ordered: it is the bus between recorder and web service.
 """
@@ -24,10 +24,10 @@ metadata = sa.MetaData(
 )
 
 ROW_CRC32 = "row_crc32"
-"""The last column of each table: the checksum of the others (`sealed`), which no row tells."""
+"""The last column of each table: the checksum of the others, which no dataclass has."""
 
 _TABLES: dict[type[rows.Row], sa.Table] = {}
-# None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
+# None is SQL's NULL, not the JSON text "null": so NOT NULL is effective.
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: sa.Boolean(),
     bytes: sa.LargeBinary(),
@@ -42,7 +42,7 @@ _BIG_INTEGERS = ("_ns", "crc32")
 
 
 def table_of(kind: type[rows.Row]) -> sa.Table:
-    """Table that holds a kind of row."""
+    """Return the table of a kind of row."""
     return _TABLES[kind]
 
 
@@ -51,26 +51,27 @@ def _table(
     kind: type[rows.Row],
     *constraints: SchemaItem,
     autoincrement: bool = False,
-    **beside: sa.ForeignKey | sa.DefaultClause,
+    **additions: sa.ForeignKey | sa.DefaultClause,
 ) -> sa.Table:
-    """Table of a kind of row; ``beside`` says more of a column than the dataclass does."""
+    """Create the table of a kind of row; ``additions`` adds keys and defaults to columns."""
     columns = [
         sa.Column(
             column.name,
             _sql_type(column),
-            *([beside[column.name]] if column.name in beside else []),
+            *([additions[column.name]] if column.name in additions else []),
             primary_key=number == 0,
             nullable=column.nullable and number > 0,
         )
         for number, column in enumerate(rows.columns_of(kind))
     ]
     columns.append(sa.Column(ROW_CRC32, sa.BigInteger()))
-    # With AUTOINCREMENT ids are never used again, whatever is deleted.
+    # With AUTOINCREMENT ids are never used again, even after a deletion.
     _TABLES[kind] = sa.Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
     return _TABLES[kind]
 
 
 def _sql_type(column: rows.Column) -> TypeEngine[Any]:
+    """Return the SQL type of a column."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
     if column.name == "configuration_hash":
@@ -81,10 +82,12 @@ def _sql_type(column: rows.Column) -> TypeEngine[Any]:
 
 
 def _unique(table: str, *names: str) -> sa.UniqueConstraint:
+    """Return a named unique constraint."""
     return sa.UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
 def _index(table: sa.Table, *names: str) -> None:
+    """Add a named index."""
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 
@@ -147,7 +150,7 @@ annotated = _table("annotations", rows.AnnotationRow)  # the other word is a fea
 _index(annotated, "from_h")
 events = _table("events", rows.EventRow, autoincrement=True)
 RARE_TOPICS = ("service", "alarms")
-"""The service's own words and the alarms are few among the news of sets."""
+"""Topics with few events, each with its own index."""
 for _topic in RARE_TOPICS:
     _few = events.c.topic == sa.literal(_topic, literal_execute=True)
     sa.Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
@@ -157,4 +160,4 @@ counts = _table("counts", rows.CountsRow)
 trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
 
 KINDS = tuple(_TABLES)
-"""Kinds of rows; what one refers to stands before it."""
+"""Kinds of rows; a referenced kind comes before the referring one."""

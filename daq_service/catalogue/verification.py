@@ -1,4 +1,4 @@
-"""Look into a catalogue without changing a file of its folder, and whatever its revision is."""
+"""Read a catalogue of any revision without changing a file of its folder."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.shared_file import remove_quietly
 
 
-class CatalogueLook:
-    """The rows as they stand in the file: names of columns to values, whatever columns there are.
+class UnchangedCatalogue:
+    """Read access to the rows of a catalogue of any revision: column names to values.
 
-    A usual reader of a catalogue that nobody has open makes two files beside it. This one makes none: it
-    reads an idle file as one that does not change, and one that a power cut left with its log in a copy.
+     A normal reader of a closed catalogue creates two files next to it. This one creates none: it reads an
+    idle file as immutable, and a file that a power cut left with its log in a copy.
 
     Raises
     ------
     NoDataYetError
         There is no catalogue.
     CatalogueDamagedError
-        It cannot be read; so do all methods but `troubles`.
+         It cannot be read; all methods but `troubles` raise it, too.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -55,9 +55,10 @@ class CatalogueLook:
         self._stack.close()
 
     def _connect(self) -> None:
+        """Open the file, or a copy of file and log."""
         self._stack.close()
-        path, log = self._path, self._beside("-wal")
-        self._shared = self._beside("-shm").exists()
+        path, log = self._path, self._companion("-wal")
+        self._shared = self._companion("-shm").exists()
         if not self._shared and log.exists() and log.stat().st_size:
             copies = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="solimon-")))
             for source in (path, log):
@@ -69,24 +70,27 @@ class CatalogueLook:
         self._stack.callback(self._connection.close)
         self._connection.row_factory = sqlite3.Row
 
-    def _beside(self, suffix: str) -> Path:
+    def _companion(self, suffix: str) -> Path:
+        """Return the path of SQLite's log or index file."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
-    def _ask(self, sql: str, *values: Any) -> list[dict[str, Any]]:
-        if not self._shared and self._beside("-shm").exists():
+    def _query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
+        """Run a query and return its rows; connect again if a recorder has started."""
+        if not self._shared and self._companion("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
         try:
             return [dict(row) for row in self._connection.execute(sql, values)]
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a name of the schema
-            if not self._shared and self._beside("-shm").exists():
-                return self._ask(sql, *values)  # what did not change when it was opened did while it was read
+            if not self._shared and self._companion("-shm").exists():
+                return self._query(sql, *values)  # it was idle when opened and changed while it was read
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
     def _values(self, sql: str) -> list[Any]:
-        return [value for row in self._ask(sql) for value in row.values()]
+        """Return all values of a query."""
+        return [value for row in self._query(sql) for value in row.values()]
 
     def troubles(self) -> list[CatalogueCorruption]:
-        """Say what is damaged: pages, indexes, rows without their parents, rows that were not stored so."""
+        """List the corruption: pages, indices, rows without parents, rows with a wrong checksum."""
         shared = self._shared
         opened = partial(sqlite3.connect, self._uri, uri=True, timeout=BUSY_TIMEOUT_S)
         engine = create_engine("sqlite://", creator=opened, poolclass=NullPool)
@@ -94,31 +98,36 @@ class CatalogueLook:
             revision = self._values("SELECT version_num FROM alembic_version")
             with engine.connect() as connection:
                 current = revision == [SCHEMA_REVISION]
-                found = list(corruption_in(connection, rows=current))
-                if current and not found:
-                    connection.exec_driver_sql("BEGIN")  # beside a recorder, rows and blocks of one moment
+                corruption = list(corruption_in(connection, rows=current))
+                if current and not corruption:
+                    connection.exec_driver_sql(
+                        "BEGIN"
+                    )  # rows and blocks of one state while a recorder writes
                     differing = trend_differences(connection)
-                    found = [CatalogueCorruption(table=trend_blocks.name, told=told) for told in differing]
+                    corruption = [
+                        CatalogueCorruption(table=trend_blocks.name, description=difference)
+                        for difference in differing
+                    ]
         except (*UNREADABLE, CatalogueDamagedError) as error:
-            found = [CatalogueCorruption(told=f"{self._path} cannot be read: {error}")]
+            corruption = [CatalogueCorruption(description=f"{self._path} cannot be read: {error}")]
         finally:
             engine.dispose()
-        if found and not shared and self._beside("-shm").exists():
+        if corruption and not shared and self._companion("-shm").exists():
             self._connect()
-            return self.troubles()  # it began to change under this look
-        return found
+            return self.troubles()  # it started to change during this check
+        return corruption
 
     def copy_to(self, target: Path) -> None:
-        """Copy the catalogue as it is at one moment, whole and without files beside it.
+        """Copy one state of the catalogue, complete and without log files.
 
-        A reader of the copy makes none either, and a writer beside the copying is not held up.
+         A reader of the copy creates none either, and a concurrent writer does not wait.
 
         Raises
         ------
         CatalogueDamagedError
-            What was copied is damaged.
+             The copy is corrupt.
         CatalogueWriteError
-            The disk does not take it.
+             The disk refuses.
         """
         try:
             self._copy_to(target)
@@ -132,15 +141,15 @@ class CatalogueLook:
             with closing(sqlite3.connect(target, isolation_level=None)) as copy:
                 self._connection.backup(copy)
                 copy.execute("PRAGMA journal_mode = DELETE")
-                found = [str(row[0]) for row in copy.execute("PRAGMA integrity_check")]
+                results = [str(row[0]) for row in copy.execute("PRAGMA integrity_check")]
         except sqlite3.OperationalError as error:
             raise CatalogueWriteError(
                 f"{target} cannot be written: {error}; free or mend the disk"
             ) from error
         except sqlite3.DatabaseError as error:
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
-        if found != ["ok"]:
-            raise CatalogueDamagedError(f"{self._path} is damaged: {found[0]}; solimon verify says more")
+        if results != ["ok"]:
+            raise CatalogueDamagedError(f"{self._path} is damaged: {results[0]}; solimon verify says more")
 
     def n_rows(self) -> int:
         """Count the rows of all tables."""
@@ -150,18 +159,18 @@ class CatalogueLook:
         return sum(self._values(f'SELECT count(*) FROM "{table}"')[0] for table in tables)
 
     def experiment(self) -> dict[str, Any] | None:
-        """Row of the experiment; None: it has not begun."""
+        """Return the row of the experiment; None if it has not started."""
         return next(iter(self._rows("experiment", "")), None)
 
     def events_after(self, last_id: int) -> list[dict[str, Any]]:
-        """Ids, kinds and times of the events behind one, in their order."""
-        return self._ask("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
+        """Return ids, kinds and times of the events after an id, in order."""
+        return self._query("SELECT id, kind, wall_utc_ns FROM events WHERE id > ? ORDER BY id", last_id)
 
     def has_event(self, event: EventRow) -> bool:
-        """Tell whether an event of the history is there; of a table that cannot be read others report."""
-        wanted = "SELECT id FROM events WHERE id = ? AND kind = ? AND wall_utc_ns = ?"
+        """Return whether an event of the history exists; True if the table is unreadable."""
+        statement = "SELECT id FROM events WHERE id = ? AND kind = ? AND wall_utc_ns = ?"
         try:
-            return bool(self._ask(wanted, event.id, event.kind, event.wall_utc_ns))
+            return bool(self._query(statement, event.id, event.kind, event.wall_utc_ns))
         except CatalogueDamagedError:
             return True
 
@@ -170,8 +179,8 @@ class CatalogueLook:
         return set(self._values("SELECT DISTINCT set_index FROM sets"))
 
     def files(self) -> dict[int, str]:
-        """Files that rows point at, by set index in order."""
-        rows = self._ask(
+        """Return the files of all rows by set index, in order."""
+        rows = self._query(
             "SELECT DISTINCT set_index, file FROM sets WHERE file IS NOT NULL ORDER BY set_index"
         )
         return {row["set_index"]: row["file"] for row in rows}
@@ -181,22 +190,22 @@ class CatalogueLook:
         return self._values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_index: int) -> list[dict[str, Any]]:
-        """Rows of a set in a table that has a position and a set index."""
+        """Return the rows of a set in a table that has a position and a set index."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
         return self._rows(table, where, *self._positions, set_index)
 
-    def _rows(self, table: str, where: str, *given: Any) -> list[dict[str, Any]]:
-        """Rows by today's names of columns; an earlier revision lacks some."""
-        rows = self._ask(f"SELECT * FROM {table} {where}", *given)
+    def _rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
+        """Return rows by current column names; an earlier revision lacks some."""
+        rows = self._query(f"SELECT * FROM {table} {where}", *values)
         if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):
-            told = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
-            raise CatalogueDamagedError(told)
+            message = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
+            raise CatalogueDamagedError(message)
         return rows
 
     def strays(self) -> list[int]:
-        """Shots (`sequence`) whose set has no row of their position."""
+        """Return the shots (`sequence`) whose set has no row of their position."""
         return self._values(
             "SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets"
             " WHERE sets.position = shots.position AND sets.set_index = shots.set_index)"

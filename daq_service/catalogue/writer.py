@@ -1,4 +1,4 @@
-"""What the recorder writes: one transaction a set, events, and answers to commands."""
+"""Write the catalogue as the recorder: one transaction per set, events, and answers to commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sqlalchemy import Connection, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, made, stored_command
+from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, read_rows, stored_command
 from daq_service.catalogue.rollups import last_sets, touched_sets, update_trends
 from daq_service.catalogue.row_checksum import checked_rows, numbered, storable
 from daq_service.catalogue.rows import (
@@ -52,7 +52,7 @@ ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class SetCommit:
-    """Rows that belong together, such as everything one set says: stored in one commit.
+    """Rows that are stored in one commit, such as those of one set.
 
     Attributes
     ----------
@@ -61,18 +61,18 @@ class SetCommit:
     events
         Without ``wall_utc_ns`` an event is dated when it is stored.
     alarm_of_event
-        Which of ``alarms`` an event tells of, by their numbers here: ``alarm_id`` is put into its payload.
+         Index of an event to the index of its alarm: ``alarm_id`` is added to its payload.
     annotations
         A row with an id changes that annotation, one without is a new one.
     baselines
-        A row whose id is stored already takes that one's place: what becomes of a baseline.
+         A row with a stored id replaces that row: the baseline's state has changed.
     annotation_of_event
         As ``alarm_of_event``, with ``annotation_id``.
     order
-        An order that is carried out by storing this, with its answer; one with the id 0 gets its id.
+         Command that this commit executes, with its answer; one with id 0 gets its id.
     assessments
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
-        distances are known only when it is complete. Every other verdict is final.
+        distances are known only when it is complete. Every other assessment is final.
     """
 
     sets: list[SetRow] = field(default_factory=list)
@@ -92,7 +92,7 @@ class SetCommit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Committed:
-    """Ids that a commit gave out, in the order of its rows."""
+    """Ids that a commit assigned, in the order of its rows."""
 
     event_ids: list[int]
     alarm_ids: list[int]
@@ -102,11 +102,12 @@ class Committed:
 
 
 class RecorderCatalogue(Catalogue):
-    """The catalogue in the hands of its one writer, the recorder."""
+    """Catalogue of the recorder, its only writer."""
 
     @contextmanager
-    def _writing(self, doing: str) -> Iterator[Connection]:
-        with translated(self._path, doing), writing(self._engine) as connection:
+    def _writing(self, action: str) -> Iterator[Connection]:
+        """Open a transaction for writing and translate errors."""
+        with translated(self._path, action), writing(self._engine) as connection:
             yield connection
 
     # The experiment
@@ -121,7 +122,7 @@ class RecorderCatalogue(Catalogue):
         clock: str,
         solimon_version: str,
     ) -> ExperimentRow:
-        """Make this folder the experiment's, or find that it is already, and return its row.
+        """Store the experiment of this folder, or check the stored one, and return its row.
 
         Raises
         ------
@@ -140,16 +141,16 @@ class RecorderCatalogue(Catalogue):
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
                 _insert(connection, [row])
-        begun = self.experiment_row()
-        if begun.configuration_hash != configuration_hash:
+        stored = self.experiment_row()
+        if stored.configuration_hash != configuration_hash:
             raise OtherExperimentError(
-                f"{self._path} belongs to configuration {begun.configuration_hash}, "
+                f"{self._path} belongs to configuration {stored.configuration_hash}, "
                 f"not to {configuration_hash}"
             )
-        return begun
+        return stored
 
     def committed_sets(self, among: Collection[int] | None = None) -> set[int]:
-        """Return the indices of the sets, of all or ``among`` some, whose rows are stored."""
+        """Return the indices of the sets, of all or ``among`` some, with stored rows."""
         statement = select(sets.c.set_index).distinct()
         if among is not None:
             statement = statement.where(sets.c.set_index.in_(sorted(among)))
@@ -157,20 +158,20 @@ class RecorderCatalogue(Catalogue):
             return set(connection.execute(statement).scalars())
 
     def last_ended_utc_ns(self) -> int | None:
-        """Return when the set that ended last did so; None before the first one with a record."""
+        """Return the latest end of a set; None before the first one with a record."""
         with self.reading() as connection:
             last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
         return last
 
     def next_sequence(self) -> int:
-        """Sequence of the next shot, 1 in a new catalogue."""
+        """Return the sequence of the next shot, 1 in a new catalogue."""
         with self.reading() as connection:
             return int(connection.execute(select(func.max(shots.c.sequence))).scalar_one() or 0) + 1
 
     # A set
 
     def commit_set(self, commit: SetCommit) -> Committed:
-        """Store everything a set says in one transaction: all of it, or nothing.
+        """Store all rows of a set in one transaction: all or none.
 
         Raises
         ------
@@ -178,8 +179,8 @@ class RecorderCatalogue(Catalogue):
             Nothing was stored.
         """
         indices = {row.set_index for row in commit.sets}
-        told = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
-        touched = touched_sets(told)
+        rows = [*commit.sets, *commit.features, *commit.thickness, *commit.assessments, *commit.alarms]
+        touched = touched_sets(rows)
         with self._writing("storing a set") as connection:
             last_before = last_sets(connection, touched)
             before = due_time_counts(connection, indices) if indices else {}
@@ -187,8 +188,8 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
             _insert(connection, commit.thickness)
-            baseline_ids = [_kept(connection, row) for row in commit.baselines]
-            _judge(connection, commit.assessments)
+            baseline_ids = [_store_baseline(connection, row) for row in commit.baselines]
+            _insert_assessments(connection, commit.assessments)
             _insert(connection, commit.environment)
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
@@ -227,14 +228,14 @@ class RecorderCatalogue(Catalogue):
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
 
     def without_digest(self) -> dict[int, str]:
-        """Return the files of sets whose SHA-256 is not noted, by set index."""
-        noted = (sets.c.file.is_not(None), sets.c.file_sha256.is_(None))
+        """Return the files of sets without a stored SHA-256, by set index."""
+        conditions = (sets.c.file.is_not(None), sets.c.file_sha256.is_(None))
         with self.reading() as connection:
-            wanted = connection.execute(select(sets.c.set_index, sets.c.file).where(*noted))
-            return {index: str(file) for index, file in wanted}
+            rows = connection.execute(select(sets.c.set_index, sets.c.file).where(*conditions))
+            return {index: str(file) for index, file in rows}
 
     def set_digest(self, set_index: int, file: str, sha256: str) -> None:
-        """Note the SHA-256 of a set's file in its rows."""
+        """Store the SHA-256 of a set's file in its rows."""
         with self._writing("noting a file") as connection:
             of_file = (sets.c.set_index == set_index, sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
@@ -242,15 +243,15 @@ class RecorderCatalogue(Catalogue):
                 _change(connection, replace(row, file_sha256=sha256))
 
     def digest_of(self, set_index: int) -> str | None:
-        """SHA-256 of a set's file as it was written; None: it is not noted."""
-        noted = sets.c.file_sha256.is_not(None)
-        wanted = select(sets.c.file_sha256).where(sets.c.set_index == set_index, noted)
+        """Return the stored SHA-256 of a set's file; None if there is none."""
+        has_digest = sets.c.file_sha256.is_not(None)
+        statement = select(sets.c.file_sha256).where(sets.c.set_index == set_index, has_digest)
         with self.reading() as connection:
-            found: str | None = connection.execute(wanted.limit(1)).scalar_one_or_none()
-        return found
+            digest: str | None = connection.execute(statement.limit(1)).scalar_one_or_none()
+        return digest
 
     def recount(self) -> None:
-        """Count again what each commit carries on: by reading every row."""
+        """Recompute the counts from all rows."""
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._writing("counting") as connection:
             numbers = {
@@ -262,7 +263,7 @@ class RecorderCatalogue(Catalogue):
             _change(connection, CountsRow(**due_time_counts(connection), **counted))
 
     def restore(self, rows: Iterable[Row]) -> None:
-        """Store rows as they are, with their ids, in the place of any that have these; `recount` follows."""
+        """Store rows with their ids, replacing existing ones; `recount` follows."""
         restored = list(rows)
         touched = touched_sets(row for row in restored if not isinstance(row, EventRow))
         with self._writing("restoring rows") as connection:
@@ -275,26 +276,26 @@ class RecorderCatalogue(Catalogue):
     # Commands
 
     def open_commands(self) -> list[CommandRow]:
-        """Orders that have no answer yet, oldest first: pending or started."""
+        """Return the commands without an answer, oldest first: pending or started."""
         return self.rows(CommandRow, states={"pending", "started"})
 
     def start_command(self, command_id: int) -> None:
-        """Note that an order is about to be carried out.
+        """Mark a command as started before it is executed.
 
         Raises
         ------
         CatalogueConflictError
-            No such order, or it was started before.
+             No such command, or it was started before.
         """
         self._advance_command(command_id, "pending", state="started")
 
     def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
-        """Answer an order.
+        """Store the answer to a command.
 
         Raises
         ------
         CatalogueConflictError
-            No such order, or it was answered before; or ``state`` is no answer.
+             No such command, or it was answered before; or ``state`` is not an answer.
         """
         if state not in ANSWERS:
             raise CatalogueConflictError(f"state is {state!r}; an answer is one of {', '.join(ANSWERS)}")
@@ -303,14 +304,15 @@ class RecorderCatalogue(Catalogue):
         )
 
     def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
+        """Change the state of a command that is in one of the given states."""
         with self._writing("answering a command") as connection:
             statement = select(commands).where(commands.c.id == command_id, commands.c.state.in_(before))
-            found = list(checked_rows(connection, CommandRow, statement))
-            if not found:
+            rows = list(checked_rows(connection, CommandRow, statement))
+            if not rows:
                 raise CatalogueConflictError(
                     f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
                 )
-            _change(connection, replace(found[0], **values))  # type: ignore[arg-type] # names of its columns
+            _change(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
 def _insert(connection: Connection, rows: Sequence[R]) -> list[R]:
@@ -323,7 +325,7 @@ def _insert(connection: Connection, rows: Sequence[R]) -> list[R]:
 
 
 def _change(connection: Connection, row: Row) -> bool:
-    """Put a row in the place of the one with its id; False where there is none."""
+    """Replace the row with the same id; return False if there is none."""
     table, stored = table_of(type(row)), storable(row)
     key = table.primary_key.columns[0]
     return connection.execute(update(table).where(key == stored.pop(key.name)).values(stored)).rowcount == 1
@@ -332,7 +334,7 @@ def _change(connection: Connection, row: Row) -> bool:
 def _count(
     connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
 ) -> None:
-    """Carry the counts over a commit; a shot comes with the row of its set."""
+    """Add a commit to the counts; a shot comes with the row of its set."""
     echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
     of_plan = [row for row in commit.shots if row.set_index < PLANNED_SETS]
     n_echoes = sum(row.position in echoes for row in of_plan)
@@ -341,56 +343,62 @@ def _count(
         "pulse_echo_records": n_echoes,
         "events": len(commit.events),
     }
-    (row,) = made(connection, CountsRow, select(counts))
+    (row,) = read_rows(connection, CountsRow, select(counts))
     changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
     _change(connection, changed)
 
 
-def _judge(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
-    """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
+def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
+    """Insert assessments; those of a new baseline's sets replace the preliminary ones."""
     new = []
     for row in rows:
-        waiting = select(assessments.c.id).where(
+        statement = select(assessments.c.id).where(
             assessments.c.position == row.position,
             assessments.c.set_index == row.set_index,
             assessments.c.in_baseline,
         )
-        waits = connection.execute(waiting).scalar() if row.in_baseline else None
-        if waits is None:
+        stored_id = connection.execute(statement).scalar() if row.in_baseline else None
+        if stored_id is None:
             new.append(row)
         else:
-            _change(connection, replace(row, id=waits))
+            _change(connection, replace(row, id=stored_id))
     _insert(connection, new)
 
 
 def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
-    return _changed(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
+    """Store a new or changed row and return its id."""
+    return _change_existing(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
 
 
-def _kept(connection: Connection, row: BaselineRow) -> int:
+def _store_baseline(connection: Connection, row: BaselineRow) -> int:
+    """Store a new or changed baseline and return its id."""
     if row.id is not None and _change(connection, row):
         return row.id
     return _ids(_insert(connection, [row]))[0]
 
 
 def _answer(connection: Connection, row: CommandRow) -> int:
-    return _changed(connection, row, row.id) if row.id else stored_command(connection, row)
+    """Store a command with its answer and return its id."""
+    return _change_existing(connection, row, row.id) if row.id else stored_command(connection, row)
 
 
-def _changed(connection: Connection, row: Row, row_id: int) -> int:
+def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
+    """Replace a row or raise an error if there is none."""
     if not _change(connection, row):
-        what = f"row {row_id} of table {table_of(type(row)).name}"
-        raise CatalogueConflictError(f"there is no {what} to change; nothing was stored")
+        row_text = f"row {row_id} of table {table_of(type(row)).name}"
+        raise CatalogueConflictError(f"there is no {row_text} to change; nothing was stored")
     return row_id
 
 
 def _ids(rows: Iterable[Any]) -> list[int]:
+    """Return the ids of rows."""
     return [row.id for row in rows]
 
 
 def _dated_events(
     commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
 ) -> list[EventRow]:
+    """Return the events with time, and with ids of alarms and annotations in their payload."""
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):

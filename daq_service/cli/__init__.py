@@ -1,8 +1,8 @@
-"""A file or folder for each word behind ``solimon``; heavy imports stand inside a command."""
+"""Command line: a module or package for each command; commands import heavy modules when they run."""
 
 
 def main() -> None:
-    """Run the command line; imported when it is called, so that importing this room costs nothing."""
+    """Run the command line; imported on call, so that importing this package is fast."""
     from daq_service.processes.inherited import reset_inherited
 
     reset_inherited()

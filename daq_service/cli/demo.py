@@ -24,7 +24,7 @@ from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 
 NUISANCE = "laboratory"
-"""Of the twin's levels: a demonstration on a rig that is quieter than any would promise too much."""
+"""Level of the twin's disturbances: a quieter rig than any real one would promise too much."""
 WATCHABLE_PACE_H_PER_S = 5.0
 """The 350 h pass in 70 s."""
 
@@ -45,7 +45,7 @@ def run_demo(
     rig: str,
     as_json: bool,
 ) -> int:
-    """Carry out the command; the exit code."""
+    """Run the command and return its exit code."""
     started_s = _process_start_s()
     pace = pace if pace is not None or exit_when_done or no_web else WATCHABLE_PACE_H_PER_S
     with running_rig(rig, _overrides(hours, seed, pace)) as running:
@@ -72,31 +72,32 @@ def _run_on(
     as_json: bool,
     started_s: float,
 ) -> int:
+    """Run the demonstration on a rig and return the exit code."""
     settings = running.settings
     prepare_data_folder(folder)
     check_owner(settings, folder)
     config = write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop:
-        with ProgressReport(news_to_stderr=as_json) as telling:
-            telling.line(f"data: {folder}")
-            report_full_disk(folder, settings, telling.line)
+        with ProgressReport(news_to_stderr=as_json) as progress:
+            progress.line(f"data: {folder}")
+            report_full_disk(folder, settings, progress.line)
             for note in running.notes:
-                telling.line(note)
-            invitation = _Invitation(telling.line, open_page if browser else lambda url: False)
+                progress.line(note)
+            address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
 
             def on_message(child: str, message: Message) -> None:
-                telling.hear(child, message)
+                progress.hear(child, message)
                 if message["event"] == "listening":
-                    invitation.listening(message["url"])
+                    address_printer.listening(message["url"])
                 elif message["event"] == "progress":
-                    invitation.recording()
+                    address_printer.recording()
                 elif message["event"] == "stopped":
-                    telling.line(STOPPED)
+                    progress.line(STOPPED)
                 elif message["event"] == "finished" and stay:
                     for line in summary_lines(summarise_run(settings, folder), folder):
-                        telling.line(line)
-                    telling.line("The test is done; the dashboard stays until Ctrl-C.")
+                        progress.line(line)
+                    progress.line("The test is done; the dashboard stays until Ctrl-C.")
 
             supervisor = Supervisor(
                 child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
@@ -121,19 +122,20 @@ def _run_on(
 
 
 def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, Any]:
-    given: dict[str, dict[str, Any]] = {
+    """Return the configuration that the options override."""
+    options: dict[str, dict[str, Any]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
         "clock": {"pace_h_per_s": pace},
     }
     return {
         table: {key: value for key, value in keys.items() if value is not None}
-        for table, keys in given.items()
+        for table, keys in options.items()
     }
 
 
 def _process_start_s() -> float:
-    """Unix time at which this process started, so that imports count too."""
+    """Return the Unix time at which this process started, so that imports count, too."""
     try:
         fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         up_s = float(Path("/proc/uptime").read_text(encoding="ascii").split()[0])
@@ -143,15 +145,15 @@ def _process_start_s() -> float:
         return time.time() - time.process_time()
 
 
-class _Invitation:
-    """Print the dashboard's address, and open it on a screen, once there is something to see.
+class _AddressPrinter:
+    """Prints the dashboard's address and opens it once there is data to see.
 
     On a fresh machine the recorder compiles its kernels first; should that take long, the address is
     printed all the same.
     """
 
-    def __init__(self, say: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
-        self._say, self._open_page = say, open_page
+    def __init__(self, print_line: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
+        self._print_line, self._open_page = print_line, open_page
         self._lock = threading.Lock()
         self._url: str | None = None
         self._recording = False
@@ -160,20 +162,21 @@ class _Invitation:
         self._patience.start()
 
     def listening(self, url: str) -> None:
-        """Keep the address that the web service answers at."""
+        """Store the address of the web service."""
         with self._lock:
             self._url = url
-            self._invite()
+            self._print_address()
 
     def recording(self) -> None:
-        """Note that the first set is in, or that waiting has taken long enough."""
+        """Note the first set, or the end of the wait for it."""
         with self._lock:
             self._recording = True
             self._patience.cancel()
-            self._invite()
+            self._print_address()
 
-    def _invite(self) -> None:
+    def _print_address(self) -> None:
+        """Print and open the address once it is known and there is data."""
         if self._url is not None and self._recording:
             opened = ", opened in your browser" if self._open_page(self._url) else ""
-            self._say(f"dashboard: {self._url}  (Ctrl-C ends{opened})")
+            self._print_line(f"dashboard: {self._url}  (Ctrl-C ends{opened})")
             self._url = None

@@ -1,7 +1,7 @@
-"""How large a test's folder becomes: from the file of one set, built in memory as the archive builds it.
+"""Forecast the size of a test's folder from the file of one set, built in memory as the archive does.
 
-Records pack as well as their noise lets them, so the built set is made of noisy records: of the twin's noise,
-also where other instruments will strike. Nobody knows theirs before they have.
+Noise limits the compression of records, so the set is built from records with the noise of the twin; that of
+other instruments is unknown before the test.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CATALOGUE_BYTES_A_RECORD = 800
 FOLDER_BYTES = 2 * 16 * 2**20 + 2**20
 """Two segments of the journal, and a catalogue without rows, live pictures and configuration."""
 BUILT_BYTES = 32 * 2**20
-"""A set of more raw bytes is built with fewer shots and scaled, so that a plan is told at once."""
+"""A set with more raw bytes is built with fewer shots and scaled, so that the forecast is fast."""
 TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
 """The twin stores as many facts with each shot."""
 NUISANCE_TRUTH = 12
@@ -39,7 +39,7 @@ class RecordSize:
     Attributes
     ----------
     known
-        False where nobody knows before (a recording, a mixed rig): assumed to be like the twin's.
+        False if unknown in advance (a recording, a mixed rig): assumed to be like the twin's.
     """
 
     samples: int
@@ -54,7 +54,7 @@ class RecordSize:
 
 
 def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
-    """Record of a strike and of an echo, as the configured instruments will make them."""
+    """Return the sizes of the records of a strike and of an echo for the configured instruments."""
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
     known = settings.rig.kind in ("simulated", "daqmx")
     strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
@@ -63,7 +63,7 @@ def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     )
     boards, probes = settings.rig.daqmx, settings.rig.niscope
     if settings.rig.kind == "daqmx" and boards is not None:
-        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
+        # Boards of up to 16 bits; 18 bits take twice as much, which only the board itself knows.
         strike = RecordSize(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
     if settings.rig.kind == "daqmx" and probes is not None:
         # The sum of the averaged records.
@@ -74,29 +74,29 @@ def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
 
 
 def stored_bytes(settings: Settings, n_sets: int) -> int:
-    """Bytes of the data folder after so many sets: files, tiles, catalogue, journal and reserve."""
+    """Return the size of the data folder after so many sets: files, tiles, catalogue and journal."""
     records = settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE)) + len(
         settings.names_of(PULSE_ECHO)
     )
-    a_set = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
-    beside = FOLDER_BYTES + settings.storage.reserve_mb * 10**6
-    return round(n_sets * a_set) + tile_bytes(settings, n_sets) + beside
+    set_bytes = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
+    fixed_bytes = FOLDER_BYTES + settings.storage.reserve_mb * 10**6
+    return round(n_sets * set_bytes) + tile_bytes(settings, n_sets) + fixed_bytes
 
 
 def most_confirmation_bytes(settings: Settings, last_h: float) -> int:
-    """Bytes of the sets beside the plan up to an hour, if suspicion asks for as many as it may."""
+    """Return the maximum size of confirmation sets up to an hour."""
     transducers, shots = settings.names_of(SOLITARY_WAVE), settings.schedule.shots_per_set
     days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
     sets = days * settings.alarms.confirmation_sets_a_day * len(transducers)
     if sets == 0:
         return 0
-    alone = {name: settings.positions[name] for name in transducers[:1]}
-    a_set = built_set_bytes(settings.model_copy(update={"positions": alone}))
-    return round(sets * (a_set + CATALOGUE_BYTES_A_RECORD * shots))
+    one_position = {name: settings.positions[name] for name in transducers[:1]}
+    set_bytes = built_set_bytes(settings.model_copy(update={"positions": one_position}))
+    return round(sets * (set_bytes + CATALOGUE_BYTES_A_RECORD * shots))
 
 
 def tile_bytes(settings: Settings, n_sets: int) -> int:
-    """Bytes of the waterfall's tiles after so many sets."""
+    """Return the size of the waterfall's tiles after so many sets."""
     from daq_service.archive.waterfall.cells import ALIGNMENTS, frame_of
     from daq_service.archive.waterfall.tiles import planned_bytes
 
@@ -106,17 +106,17 @@ def tile_bytes(settings: Settings, n_sets: int) -> int:
 
 
 def built_set_bytes(settings: Settings) -> float:
-    """Bytes of the file of one whole set."""
+    """Return the size of the file of one complete set."""
     from daq_service.archive.layout import build_image
 
     strike, echo = record_sizes(settings)
     transducers, shots = len(settings.names_of(SOLITARY_WAVE)), settings.schedule.shots_per_set
-    built = max(1, min(shots, BUILT_BYTES // max(1, strike.n_bytes * transducers)))
-    return len(build_image(_set_of(settings, strike, echo, built))) * shots / built
+    n_built = max(1, min(shots, BUILT_BYTES // max(1, strike.n_bytes * transducers)))
+    return len(build_image(_set_of(settings, strike, echo, n_built))) * shots / n_built
 
 
 def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
-    """Make a set of noisy records: its pulses only fill the upper bytes of few samples."""
+    """Build a set of noisy records; their pulses are few samples."""
     import numpy as np
 
     from daq_service.archive import PositionRecord, SetRecord
@@ -179,7 +179,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
 
 
 def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> Results:
-    """Make results of records: their bytes do not depend on what they say."""
+    """Build results of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import results_of
     from daq_service.assessment.transaction import shot_row
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow

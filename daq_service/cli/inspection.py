@@ -1,4 +1,4 @@
-"""``check-config``: what a test will do."""
+"""``check-config``: describe a planned test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
-    """Carry out ``check-config``."""
+    """Run ``check-config``."""
     if schema:
         click.echo(json.dumps(schema_with_kinds(), indent=1))
         return
@@ -57,13 +57,13 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
 
 
 def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
-    """Tell how many sets are planned for each transducer's baseline, and where that is too few."""
+    """Print the number of planned baseline sets, and a warning if there are too few."""
     if not settings.names_of(SOLITARY_WAVE):
         return
-    n_sets, least = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
-    needs = f"it needs at least {least}, {GOOD_SETS} and more are advised"
+    n_sets, minimum = facts["baseline_sets"], max(settings.baseline.minimum_sets, MINIMUM_SETS)
+    needs = f"it needs at least {minimum}, {GOOD_SETS} and more are advised"
     click.echo(f"baseline   {n_sets} sets planned for each transducer; {needs}")
-    if n_sets < least or n_sets >= facts["sets"]:
+    if n_sets < minimum or n_sets >= facts["sets"]:
         click.echo(
             f"WARNING: nothing would be judged: the plan has {facts['sets']} sets, and baseline.hours = "
             f"{settings.baseline.hours:g} takes {n_sets} of each transducer; {needs}, and sets behind it",
@@ -72,7 +72,7 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
 
 
 def _print_receivers(settings: Settings) -> None:
-    """Say who is told of alarms, and what is missing here; the service may run as another user."""
+    """Print the receivers of alarms, and missing addresses; the service may run as another user."""
     from daq_service.processes.notifications.addresses import address_of, shown_address
 
     for name, receiver in settings.notifications.receivers.items():
@@ -84,7 +84,7 @@ def _print_receivers(settings: Settings) -> None:
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Numbers of a planned test."""
+    """Return the numbers of a planned test."""
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
@@ -95,7 +95,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "name": settings.name,
         "configuration_hash": settings.configuration_hash(),
         "sets": len(planned),
-        # Of the whole schedule, not of one cut by end_h, as `judgement.life` counts them.
+        # Of the complete schedule, not limited by end_h, as the baseline counts them.
         "baseline_sets": len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours)),
         "strikes": strikes,
         "pulse_echo_records": echoes,

@@ -1,4 +1,4 @@
-"""The command ``solimon``: parses, then hands over; everything heavy is imported inside a command.
+"""Parse the command line ``solimon`` and call the command; heavy modules are imported inside commands.
 
 Exit codes: 0 done, 1 a fault of solimon itself, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 6 not
 certified, 130 interrupted.
@@ -29,7 +29,7 @@ from daq_service.settings.foreign_text import plain_output
 
 
 class _Positive(click.FloatRange):
-    """Above 0 and finite: a range alone lets infinity pass, and nan, which compares with nothing."""
+    """Positive finite number: a range alone accepts infinity and NaN."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
@@ -54,12 +54,12 @@ SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
 
 
 def of_a_test(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options that name one test."""
+    """Add the options that select one test."""
     return CONFIG(DATA_DIR(command))
 
 
 def order_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Options of an order to a running recorder."""
+    """Add the options of a command to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
     return click.option("--note", "--reason", "note", default="", help="Why; a hold and a renewal need it.")(
@@ -67,11 +67,11 @@ def order_options(command: Callable[..., int]) -> Callable[..., int]:
     )
 
 
-class _Words(click.Group):
-    """Tells each of its words by a whole sentence, on as many lines as that takes."""
+class _CommandGroup(click.Group):
+    """Group that shows the complete summary of each command."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Carry out a command and end with its exit code; a library that ends the process is an error."""
+        """Run a command and exit with its code; a library that ends the process is an error."""
         try:
             ctx.exit(super().invoke(ctx) or 0)
         except (Exception, KeyboardInterrupt):
@@ -86,7 +86,9 @@ class _Words(click.Group):
             formatter.write_dl([(name, command.get_short_help_str(sys.maxsize)) for name, command in shown])
 
 
-@click.group(cls=_Words, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=_CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100}
+)
 @click.version_option(package_name="solimon")
 def cli() -> None:
     """Acquire and monitor with highly nonlinear solitary waves.
@@ -397,8 +399,8 @@ def rebuild(**options: Any) -> None:
 
 
 def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None:
-    """Add a word that gives an order; its own options are the order's arguments."""
-    command = order_options(partial(_give_order, kind))
+    """Add a command for the recorder; its options are the arguments."""
+    command = order_options(partial(_send_order, kind))
     for option in (*options, DATA_DIR, CONFIG):
         command = option(command)
     cli.command(kind.replace("_", "-"), help=explanation)(command)
@@ -414,14 +416,15 @@ REASONS = {
         "Why is the baseline retired",
     ),
 }
-"""What is said where an order lacks the reason that it needs, and what is asked at a terminal."""
+"""Error for a command without its reason, and the question at a terminal."""
 
 
-def _give_order(kind: str, **options: Any) -> int:
+def _send_order(kind: str, **options: Any) -> int:
+    """Ask for a missing reason and send the command."""
     if kind in REASONS and not options["note"].strip():
-        lacking, question = REASONS[kind]
+        message, question = REASONS[kind]
         if not sys.stdin.isatty():
-            raise click.UsageError(lacking)
+            raise click.UsageError(message)
         options["note"] = click.prompt(question, err=True)
     from daq_service.commands.send import send_command
 
@@ -455,7 +458,7 @@ def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | No
     if not on and (voltage_v is not None or current_limit_a is not None):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a} if on else {}
-    return _give_order("supply_on" if on else "supply_off", **values, **options)
+    return _send_order("supply_on" if on else "supply_off", **values, **options)
 
 
 @cli.command()
@@ -711,7 +714,7 @@ def replay(**options: Any) -> None:
 
 @plain_output()
 def main() -> None:
-    """Entry point: errors of the tree become one line and their exit code."""
+    """Run the command line; errors become one line and their exit code."""
     try:
         sys.exit(cli.main(standalone_mode=False))
     except click.exceptions.Abort:
@@ -724,25 +727,25 @@ def main() -> None:
     except StorageUnavailableError as error:
         _end(f"{error}, then start again", error.exit_code)
     except SolimonError as error:
-        _end(_in_words(error), error.exit_code)
-    except Exception as error:  # noqa: BLE001 - the end of the line: whatever it is has a code and one line
+        _end(_message_of(error), error.exit_code)
+    except Exception as error:  # noqa: BLE001 - last resort: every error becomes a code and one line
         _end(f"unforeseen, please report it: {_where(error)}{type(error).__name__}: {error}", EXIT_FAULT)
 
 
-def _in_words(error: SolimonError) -> str:
-    """Say what is wrong; that a catalogue is lost, where its reader only missed it."""
+def _message_of(error: SolimonError) -> str:
+    """Return the message of an error; if the catalogue is lost, state that."""
     if isinstance(error, StorageError):
         from daq_service.catalogue.errors import NoDataYetError
         from daq_service.processes.lost_catalogue import lost_reason
 
         if isinstance(error, NoDataYetError) and error.folder is not None:
-            with suppress(StorageError):  # what lies beside it cannot be read either
+            with suppress(StorageError):  # the other files are unreadable, too
                 return lost_reason(error.folder) or str(error)
     return str(error)
 
 
 def _where(error: Exception) -> str:
-    """Name the last line of ours that met it; a running test's log has the whole traceback."""
+    """Return the location in this project where an error occurred; a running test's log has the traceback."""
     root = Path(__file__).parents[2]
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if Path(frame.filename).is_relative_to(root)]
@@ -750,6 +753,7 @@ def _where(error: Exception) -> str:
 
 
 def _end(message: str, code: int) -> None:
+    """Print a message and exit."""
     from daq_service.processes.printing import print_line
 
     print_line(f"solimon: {message}")

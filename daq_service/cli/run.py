@@ -1,4 +1,4 @@
-"""``run``, ``record`` and ``serve``: the processes of a test, together or alone."""
+"""Run the processes of a test for ``run``, ``record`` and ``serve``, together or alone."""
 
 from __future__ import annotations
 
@@ -63,18 +63,18 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
-"""What a recorder that is killed leaves of its worker's locks: Python sweeps it, and need not say so."""
+"""Warning about locks of a killed recorder's worker, which Python removes itself."""
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
 def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
-    """Return the exit code of a child, which its supervisor is sent first.
+    """Return the exit code of a child after sending it to the supervisor.
 
     Raises
     ------
     TriedAgainError
-        The disk refuses now, and the child was started again: its supervisor tries once more. A process that
-        a person starts ends with `StorageUnavailableError` instead.
+        The disk refuses, and the child was restarted: its supervisor tries again. A process that a person
+        started ends with `StorageUnavailableError` instead.
     """
 
     def run() -> int:
@@ -103,24 +103,24 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         refuse_unusable(settings.notifications)
 
     log_to(folder / "logs" / "supervisor.log")
-    with stop_on_signals() as stop, ProgressReport() as telling, ExitStack() as stack:
+    with stop_on_signals() as stop, ProgressReport() as progress, ExitStack() as stack:
 
         def on_message(child: str, message: Message) -> None:
-            telling.hear(child, message)
+            progress.hear(child, message)
             if message["event"] == "listening":
-                telling.line(f"dashboard: {message['url']}")
+                progress.line(f"dashboard: {message['url']}")
             elif message["event"] == "stopped":
-                telling.line(STOPPED)
+                progress.line(STOPPED)
             elif message["event"] == "failed":
-                telling.line(
+                progress.line(
                     f"{child}: ended with exit code {message['code']} (see logs); the dashboard stays"
                 )
             elif message["event"] == "finished":
                 stays = "Ctrl-C stops the dashboard" if not no_web else "all ends here"
-                telling.line(f"{child}: the schedule is done; {stays}")
+                progress.line(f"{child}: the schedule is done; {stays}")
 
-        telling.line(f"data: {folder}")
-        report_full_disk(folder, settings, telling.line)
+        progress.line(f"data: {folder}")
+        report_full_disk(folder, settings, progress.line)
         supervisor = Supervisor(
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
@@ -132,10 +132,10 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
-def report_full_disk(folder: Path, settings: Settings, say: Callable[[str], None]) -> None:
-    """Say at once what the recorder waits for, before it can store any alarm."""
-    if told := refusal(disk_space(folder, settings.storage), settings.storage):
-        say(f"WAITING: {told}")
+def report_full_disk(folder: Path, settings: Settings, report: Callable[[str], None]) -> None:
+    """Report immediately why the recorder waits, since it cannot store an alarm yet."""
+    if reason := refusal(disk_space(folder, settings.storage), settings.storage):
+        report(f"WAITING: {reason}")
 
 
 def child_plans(
@@ -147,7 +147,7 @@ def child_plans(
     linger: bool,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ChildPlan]:
-    """Command lines of the children; a lingering recorder takes orders after its last set.
+    """Return the command lines of the children; a lingering recorder takes commands after its last set.
 
     Parameters
     ----------
@@ -176,32 +176,32 @@ def record_alone(
     log_json: bool,
     supervised: bool,
 ) -> int:
-    """Own the rig and the data folder until the schedule is done or somebody says stop."""
+    """Run the recorder until the schedule ends or a person stops it."""
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder, anew=not restart_reason)
-    with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as left:
+    with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as stack:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
-        tell = notify_supervisor
+        report = notify_supervisor
         if not supervised:
-            tell = left.enter_context(service_manager_notifications(left.enter_context(ProgressReport())))
-            left.enter_context(standing_by(settings, folder, watches=False))
-        left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
+            report = stack.enter_context(service_manager_notifications(stack.enter_context(ProgressReport())))
+            stack.enter_context(standing_by(settings, folder, watches=False))
+        abandoned = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
             if settings.rig.driven is not None:
-                drive = left.enter_context(remote_drive(settings, settings.rig.driven, folder))
+                drive = stack.enter_context(remote_drive(settings, settings.rig.driven, folder))
             finished = record(
                 settings,
                 folder,
-                partial(_open_rig_to_stay, tell),
+                partial(_open_rig_to_stay, report),
                 stop=stop,
                 restart_reason=restart_reason,
-                report=tell,
+                report=report,
                 linger=linger,
-                unsupervised=left_alone,
+                unsupervised=abandoned,
                 acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
                 remote_drive=drive,
             )
@@ -216,16 +216,16 @@ def record_alone(
 
 @contextmanager
 def _open_rig_to_stay(
-    tell: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
+    report: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
 ) -> Iterator[Rig]:
-    """Open the rig but for the supply, whose port belongs to the process of the drive.
+    """Open the rig without the supply, whose port belongs to the supply process.
 
     The garbage collector need not look again at what stays until the process ends.
     """
     from daq_service.rig.open_rig import open_rig
 
     def preparing(what: str, begins: bool) -> None:
-        tell("preparing" if begins else "prepared", what=what)
+        report("preparing" if begins else "prepared", what=what)
 
     without_supply = settings.model_copy(update={"rig": settings.rig.without_supply()})
     with open_rig(without_supply, clock, epoch_utc_ns, preparing=preparing) as rig:
@@ -238,13 +238,13 @@ def _print_acknowledgement(shot_id: int) -> None:
 
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
-    """Start the process of the drive so that it outlives this one, with the settings that this one has."""
+    """Start the supply process so that it outlives this one, with the present settings."""
     command = [*PROGRAM, "drive", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
 def supply_port(settings: Settings) -> str:
-    """Name the supply's port, or all its parameters where its kind has no such key."""
+    """Return the supply's port, or all its parameters if its kind has no such key."""
     from daq_service.settings.instruments import configured
 
     (supply,) = (item.parameters for item in configured(settings) if "supply" in item.serves)
@@ -254,7 +254,7 @@ def supply_port(settings: Settings) -> str:
 def remote_drive(
     settings: Settings, parameters: DriveParameters, folder: Path, *, watches: bool = True
 ) -> RemoteDrive:
-    """Return the near side of the process that drives this configuration's supply."""
+    """Return the client of the supply process of this configuration."""
     from daq_service.corrosion_drive.remote import RemoteDrive
 
     start = partial(start_drive, settings, folder)
@@ -263,7 +263,7 @@ def remote_drive(
 
 @contextmanager
 def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], None]]:
-    """Give what keeps the process of the drive where no recorder does; it is called at every look."""
+    """Provide the function that restarts the supply process without a recorder; call it repeatedly."""
     from daq_service.corrosion_drive.guard import DriveGuard
 
     if settings.rig.driven is None:
@@ -274,7 +274,7 @@ def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], Non
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
-    """Own the supply's port: log it, keep the interlock, and switch off when no recorder watches."""
+    """Run the supply process: log, keep the interlock, switch off when no recorder watches."""
     from daq_service.clock import WallClock
     from daq_service.corrosion_drive.own_process import own_supply
     from daq_service.rig.open_rig import open_supply
@@ -299,7 +299,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
-            left = own_supply(
+            was_left = own_supply(
                 parameters,
                 folder,
                 open_owned,
@@ -311,13 +311,13 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         except SolimonError as error:
             log.error("%s", error)
             raise
-        return EXIT_OK if left else EXIT_INTERRUPTED
+        return EXIT_OK if was_left else EXIT_INTERRUPTED
 
 
 def serve_alone(
     *, config: Path | None, data_dir: Path | None, port: int | None, restart_reason: str, supervised: bool
 ) -> int:
-    """Serve the data folder until somebody says stop."""
+    """Serve the data folder until a person stops it."""
     from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
     from daq_service.web.auth.middleware import refuse_open_doors
@@ -337,7 +337,7 @@ def serve_alone(
 
 
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
-    """Serve an application where its settings say, until somebody says stop."""
+    """Serve an application at its configured address until a person stops it."""
     from daq_service.web.server import collect_garbage_seldom, serve
 
     collect_garbage_seldom()

@@ -1,4 +1,4 @@
-"""``serve``: the web service of one test, or of several."""
+"""``serve``: run the web service of one or more tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq_service.processes.printing import print_line
 from daq_service.settings.file import load_settings
 
 OWN_FOLDER = "solimon-service"
-"""Of a service of several tests, where nobody names another."""
+"""Default folder of a service of multiple tests."""
 
 
 def serve_tests(
@@ -25,7 +25,7 @@ def serve_tests(
     restart_reason: str,
     supervised: bool,
 ) -> int:
-    """Serve until somebody says stop."""
+    """Serve until a person stops it."""
     if len(paths) > 1:
         return _serve_many(paths, data_dir, port, web)
     if web is not None:
@@ -51,8 +51,8 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     from daq_service.web.multi_test.app import create_app_of_many
 
     settings = load_settings(web)
-    own = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
-    folder = own if data_dir is None else data_dir.absolute()
+    service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
+    folder = service_folder if data_dir is None else data_dir.absolute()
     refuse_open_doors(settings.web, folder)
     app = create_app_of_many(paths, settings, folder)
     prepare_data_folder(folder)

@@ -59,7 +59,7 @@ def print_simulation(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Carry out the command."""
+    """Run the command."""
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
@@ -97,11 +97,12 @@ def print_simulation(
 
 
 def _option(name: str) -> str:
-    """Name of a sweep's option as the command line has it."""
+    """Return the name of a sweep's option on the command line."""
     return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
+    """Compute and print the shots."""
     chain, plate, patch = specimen
     rows = []
     try:
@@ -124,6 +125,7 @@ def _specimen(
     drop_height_m: float | None,
     tilt_rad: float | None,
 ) -> Specimen:
+    """Return the specimen with the options applied."""
     place: Any = settings
     if position is not None:
         if position not in settings.positions:
@@ -140,6 +142,7 @@ def _specimen(
 
 
 def _grid(text: str) -> list[float]:
+    """Parse ``first:last:count``."""
     parts = text.split(":")
     try:
         first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
@@ -153,7 +156,7 @@ def _grid(text: str) -> list[float]:
 def _shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> dict[str, Any]:
-    """One row: chain and plate integrated together, or Zener's impact of the last sphere."""
+    """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
         return {**zener_numbers(chain, plate, patch), **given}
@@ -161,6 +164,7 @@ def _shot(
 
 
 def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:
+    """Print the table of shots."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))
     for row in rows:

@@ -1,4 +1,4 @@
-"""What a finished test says, per position: read from the catalogue, never from memory."""
+"""Summarize a finished test per position from the catalogue."""
 
 from __future__ import annotations
 
@@ -46,21 +46,22 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
 
 
 def _cost(catalogue: Catalogue) -> dict[str, float] | None:
-    """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
-    told = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
-    return told[-1].payload["cost"] if told else None
+    """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
+    rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
+    return rows[-1].payload["cost"] if rows else None
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
+    """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
-    judged = [row for row in assessments if not row.in_baseline and row.outlier is not None]
-    after = [row for row in judged if row.due_h > SPLIT_H]
+    assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
+    after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
     limit = None if baseline is None else limits_by_name(baseline).get(settings.novelty.limit)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": _fraction(row.outlier for row in judged if row.due_h <= SPLIT_H),
+        "outlier_fraction_before_100_h": _fraction(row.outlier for row in assessed if row.due_h <= SPLIT_H),
         "outlier_fraction_after_100_h": _fraction(row.outlier for row in after),
         "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_paper for row in after),
         "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
@@ -76,6 +77,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
 
 
 def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
+    """Return the summary of an ultrasonic probe."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
@@ -100,29 +102,33 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
+    """Return the newest feature of a set with enough valid shots."""
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None
 
 
 def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
+    """Return the number of sets in the baseline so far."""
     if baseline is not None:
         return baseline.n_sets
     return sum(1 for row in catalogue.rows(AssessmentRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
+    """Return the hour of the first damage alarm."""
     hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return min(hours) if hours else None
 
 
 def _fraction(outliers: Iterable[bool | None]) -> float | None:
-    judged = [outlier for outlier in outliers if outlier is not None]
-    return sum(judged) / len(judged) if judged else None
+    """Return the fraction of outliers; None without assessed sets."""
+    known = [outlier for outlier in outliers if outlier is not None]
+    return sum(known) / len(known) if known else None
 
 
 def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
-    """Tell the summary to people: the lines of a table."""
+    """Yield the lines of the summary's table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
         f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"

@@ -1,4 +1,4 @@
-"""What whoever started a command sees: a console with colour, a running test's news, the page on a screen."""
+"""Output of a command: a console with colour, progress of a running test, opening the page in a browser."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 SHOWN_AFTER_S = 2.0
-"""What is being done is told when it takes this long: words that flicker tell nobody anything."""
+"""Minimum duration of an activity that is shown, to avoid flicker."""
 LOGGED_EVERY_S = 60.0
 """A log gets a line a set, of a test in simulated time one of many."""
 DRAWN_PER_S = 2.0
 MOST_HELD_LINES = 10_000
-"""Later lines are dropped while a terminal is held."""
+"""Maximum number of waiting lines; later ones are dropped while a terminal is blocked."""
 
 
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
@@ -45,7 +45,7 @@ def console_on(stream: Literal["stdout", "stderr"]) -> Console:
 
 
 def duration(seconds: float) -> str:
-    """Tell a time in the unit in which it has two or three digits."""
+    """Format a time in the unit with two or three digits."""
     for unit, length_s, digits in (("d", 86_400.0, 1), ("h", 3600.0, 1), ("min", 60.0, 0)):
         if seconds >= 2.0 * length_s:
             return f"{seconds / length_s:.{digits}f} {unit}"
@@ -53,16 +53,16 @@ def duration(seconds: float) -> str:
 
 
 class ProgressReport:
-    """Tells of a running test on standard error: how far it is, its alarms, its gaps, its restarts.
+    """Prints the progress of a running test on standard error: hour, alarms, gaps, restarts.
 
-    On a terminal the last line is rewritten and the others stay above it; elsewhere (a log, a journal, which
-    date each line themselves) there are only lines. A terminal that is gone ends no test. One that is held
-    (Ctrl-S, a selection on Windows) keeps nobody waiting: a thread writes, and whoever tells goes on.
+    On a terminal the last line is rewritten below the others; elsewhere (a log, a journal, which date each
+    line themselves) there are only lines. A closed terminal does not end the test. A blocked one (Ctrl-S, a
+    selection on Windows) does not delay it: a thread writes the lines.
 
     Parameters
     ----------
     news_to_stderr
-        Where `line` writes: standard output belongs to somebody else.
+        `line` writes to standard error, since standard output is used for data.
     mono_s
         Monotonic time.
     """
@@ -100,14 +100,16 @@ class ProgressReport:
         self._writer.join(HELD_AFTER_S)
 
     def line(self, text: str) -> None:
-        """Tell what a person asked for, on standard output as a rule."""
-        self._say(text, err=self._news_to_stderr)
+        """Print a line for a person, normally on standard output."""
+        self._put(text, err=self._news_to_stderr)
 
-    def _say(self, text: str, *, err: bool = True, style: str = "") -> None:
+    def _put(self, text: str, *, err: bool = True, style: str = "") -> None:
+        """Add a line to the queue of the writing thread."""
         if self._lines.qsize() < MOST_HELD_LINES:
             self._lines.put((in_one_line(text), err, style))
 
     def _write(self) -> None:
+        """Write the queued lines until the end."""
         live = self._live
         if live is not None:
             with suppress(OSError):  # the terminal is gone
@@ -125,6 +127,7 @@ class ProgressReport:
         drop_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
+        """Print a line; ignore a closed terminal."""
         try:
             if self._live is not None and (err or sys.stdout.isatty()):
                 self._live.console.print(text, style=style, soft_wrap=True)
@@ -141,25 +144,25 @@ class ProgressReport:
             doing, since_s = self._preparing[-1] if self._preparing else (self._doing, self._doing_since_s)
         took_s = self._mono_s() - since_s
         long = f"{doing}; {duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
-        told = "; ".join(filter(None, (self._progress, long))) or doing
-        return Text(in_one_line(told), no_wrap=True, overflow="ellipsis")
+        text = "; ".join(filter(None, (self._progress, long))) or doing
+        return Text(in_one_line(text), no_wrap=True, overflow="ellipsis")
 
-    # What a recorder says, by itself or to its supervisor -------------------------------------------------
+    # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
     def __call__(self, event: str, **values: Any) -> None:
-        """Hear an event of the recorder; what is not listed is nothing to be told."""
+        """Print an event of the recorder; unknown events are ignored."""
         hear = getattr(self, f"_hear_{event}", None)
         if hear is not None:
             with self._lock:
                 hear(**values)
 
     def hear(self, child: str, message: Mapping[str, Any]) -> None:
-        """Hear a message that a supervisor has from a child."""
+        """Print a message that a supervisor received from a child."""
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
-            self._say(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
+            self._put(f"{child} {values['cause']}; started again in {values['in_s']:g} s", style="yellow")
         elif message["event"] == "printed":
-            self._say(values["text"])
+            self._put(values["text"])
         elif child == "recorder":
             self(message["event"], **values)
 
@@ -171,12 +174,12 @@ class ProgressReport:
         self._preparing.append((what, self._mono_s()))
 
     def _hear_prepared(self, *, what: str) -> None:
-        begun = [item for item in self._preparing if item[0] == what]
-        if begun:  # else a line was lost on the way
-            self._preparing.remove(begun[-1])
-            took_s = self._mono_s() - begun[-1][1]
+        started = [item for item in self._preparing if item[0] == what]
+        if started:  # else a line was lost on the way
+            self._preparing.remove(started[-1])
+            took_s = self._mono_s() - started[-1][1]
             if took_s >= SHOWN_AFTER_S:
-                self._say(f"{what}: took {duration(took_s)}")
+                self._put(f"{what}: took {duration(took_s)}")
 
     def _hear_progress(self, *, done: int, planned: int, due_h: float) -> None:
         self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
@@ -185,37 +188,38 @@ class ProgressReport:
         now_s = self._mono_s()
         if self._live is None and (done == planned or now_s - self._logged_s >= LOGGED_EVERY_S):
             self._logged_s = now_s
-            self._say(self._progress)
+            self._put(self._progress)
 
     def _hear_alarm(self, *, change: str, hour: float, severity: str, message: str, **_: Any) -> None:
-        stands = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
-        words = f"ALARM, {severity}" if stands else change.replace("_", " ")
-        self._say(f"hour {hour:.1f}, {words}: {message}", style="bold red" if stands else "")
+        is_active = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
+        text = f"ALARM, {severity}" if is_active else change.replace("_", " ")
+        self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _hear_waits(self, *, why: str) -> None:
-        self._say(f"waiting: {why}", style="yellow")
+        self._put(f"waiting: {why}", style="yellow")
 
     def _hear_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
     ) -> None:
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
-        self._say(f"{text}{shot}: within {duration(within_s)}", style="bold")
+        self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")
 
     def _hear_gap(self, *, set_index: int, state: str, positions: list[str], cause: str) -> None:
-        """Tell the first of a row of sets that lack something for one reason; of the others the last one."""
-        what = f"{state} at {', '.join(positions)}: {cause}"
-        if self._gap is not None and self._gap[0] == what:
-            self._gap = (what, self._gap[1], set_index)
+        """Print the first of consecutive incomplete sets with one cause; of the rest the last one."""
+        description = f"{state} at {', '.join(positions)}: {cause}"
+        if self._gap is not None and self._gap[0] == description:
+            self._gap = (description, self._gap[1], set_index)
             return
         self._end_gap()
-        self._gap = (what, set_index, set_index)
-        self._say(f"set {set_index} {what}", style="yellow")
+        self._gap = (description, set_index, set_index)
+        self._put(f"set {set_index} {description}", style="yellow")
 
     def _end_gap(self) -> None:
+        """Print the end of consecutive incomplete sets."""
         if self._gap is not None and self._gap[2] > self._gap[1]:
-            what, first, last = self._gap
+            description, first, last = self._gap
             others = f"set {last}" if last == first + 1 else f"sets {first + 1} to {last}"
-            self._say(f"{others}, too, {what}", style="yellow")
+            self._put(f"{others}, too, {description}", style="yellow")
         self._gap = None
 
 
@@ -223,7 +227,7 @@ class ProgressReport:
 
 
 def why_no_screen(environment: Mapping[str, str], platform: str = sys.platform) -> str:
-    """Say why nobody would see a page that is opened here; empty: somebody sits at a screen."""
+    """Return why a page opened here would not be visible; empty if there is a screen."""
     if not sys.stderr.isatty():
         return "no terminal"
     if environment.get("CI"):
@@ -235,7 +239,7 @@ def why_no_screen(environment: Mapping[str, str], platform: str = sys.platform) 
 
 
 def open_page(url: str) -> bool:
-    """Open a page in the browser of whoever sits at this computer; False where there is no screen, or none.
+    """Open a page in the browser of this computer; False without screen or browser.
 
     In a thread, since a browser that starts may take seconds; and not in a browser that would take the
     terminal itself, unless the person named one (``BROWSER``).

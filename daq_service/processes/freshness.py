@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daq_service.alarms.states import as_it_stands
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import PROCESS_EVENTS, look_at_recorder
@@ -62,7 +62,7 @@ class Freshness:
         """Alarm as it stands now: an expired shelf is none, also where nobody records."""
         return as_it_stands(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
-    def standing_word(self, last: LastWord) -> LastWord:
+    def standing_word(self, last: LatestRows) -> LatestRows:
         """Last word on a position with its alarms as they stand now."""
         return replace(last, active_alarms=[self.standing(row) for row in last.active_alarms])
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from daq_service.catalogue.history import append_durably, line_of, parsed_line
+from daq_service.catalogue.history import append_durably, line_of, parse_line
 from daq_service.processes.data_folder import one_at_a_time
 from daq_service.shared_file import patiently
 
@@ -74,7 +74,7 @@ def newest_lines(
     try:
         with patiently(lambda: path.open("rb")) as file:
             for n_lines, (begin, line) in enumerate(_lines_back(file, end), start=1):
-                told = parsed_line(line)
+                told = parse_line(line)
                 if told is not None and wanted(told[2]):
                     found.append((told[0], told[2]))
                 if len(found) == limit or n_lines == most_lines:

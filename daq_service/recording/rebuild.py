@@ -27,7 +27,7 @@ from daq_service.catalogue.errors import (
 from daq_service.catalogue.experiment_file import keep_experiment, refuse_another
 from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
-from daq_service.catalogue.salvage import Salvaged, salvaged
+from daq_service.catalogue.salvage import Salvaged, read_sound_rows
 from daq_service.processes.lost_catalogue import history_of
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.replay import FeaturesOf, Replayed, StoredHistory, replay
@@ -139,7 +139,7 @@ def rebuild(
 def _catalogue(folder: Path) -> Salvaged:
     """Give what the old catalogue still says."""
     try:
-        return salvaged(folder)
+        return read_sound_rows(folder)
     except SchemaVersionError:
         raise  # an older one is whole, and has what nobody can compute
     except CatalogueError as error:

@@ -130,7 +130,7 @@ def record(
 
         def note_file(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)
-            history.filed(file, sha256)
+            history.note_digest(file, sha256)
 
         _note_digests(catalogue, archive, note_file)
         clock: Clock

@@ -18,7 +18,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import catalogue_corruption
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import parsed
+from daq_service.catalogue.history import parse_lines
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS
 from daq_service.errors import StorageError
@@ -108,9 +108,9 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
 @pytest.mark.parametrize("number", [300, pytest.param(3000, marks=pytest.mark.slow)])
 def test_the_history_gives_what_was_written_and_tells_what_is_missing(life: Line, number: int) -> None:
     original = (life.folder / HISTORY_FILE).read_bytes()
-    whole = parsed(original)
+    whole = parse_lines(original)
     for count, content in enumerate(damaged(original, number, seed=7)):
-        found = parsed(content)
+        found = parse_lines(content)
         missing = 0
         for name in ("events", "commands", "digests"):
             read, written = getattr(found, name), getattr(whole, name)

@@ -1,4 +1,4 @@
-"""The journal: every shot durable a moment after it was struck; whole sets leave it for their own files.
+"""The journal: makes every shot durable within moments; complete sets move to their own files.
 
-`frames` is the format, `writer` appends and syncs, `reader` finds again what a crash has left.
+`frames` is the format, `writer` appends and syncs, `reader` recovers sets after a crash.
 """

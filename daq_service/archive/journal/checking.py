@@ -1,6 +1,6 @@
-"""What of the journal is damaged: frames that do not match their checksums, and bytes that are no frame.
+"""Find corruption in the journal: frames that do not match their checksums, and bytes outside frames.
 
-Nothing is written, and nothing that a recorder does meanwhile counts as damage.
+Nothing is written, and concurrent changes by a recorder do not count as corruption.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ _PAGE_BYTES = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckedJournal:
-    """The journal as it was found.
+    """Result of a check of the journal.
 
     Attributes
     ----------
     sets
-        What it holds, by set index.
+         Journaled sets by set index.
     damages
-        Segment, relative to the data folder, and what of it is damaged.
+        Path of the segment, relative to the data folder, and the corruption.
     suspects
         Sets without a file that may lack a frame.
     last_sequence, n_lost
-        Highest shot id that a frame has, and how many more frames there can have been.
+        Highest shot id of all frames, and upper limit of the number of lost frames.
     """
 
     sets: Mapping[int, JournaledSet]
@@ -43,11 +43,11 @@ class CheckedJournal:
 
 @dataclass(slots=True, eq=False)
 class _Scan:
-    """Frames that were found in all segments, and bytes between them that are none."""
+    """Frames of all segments, and byte ranges outside frames."""
 
     sets: dict[int, JournaledSet] = field(default_factory=dict)
     unsound: list[tuple[str, Frame]] = field(default_factory=list)
-    odd: list[tuple[str, Damage]] = field(default_factory=list)
+    gaps: list[tuple[str, Damage]] = field(default_factory=list)
     suspects: set[int] = field(default_factory=set)
     last_sequence: int = -1
     n_lost: int = 0
@@ -55,40 +55,41 @@ class _Scan:
     n_bytes: int = 0
 
     def take(self, number: int, name: str, content: bytes) -> None:
-        """Add a segment: frames, each directly behind the one before, then zeros to its end."""
-        place, length, before = 0, len(content.rstrip(b"\0")), set[int]()
+        """Add a segment: consecutive frames, then zeros to its end."""
+        end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[int]()
         for frame in frames(content):
-            if frame.start > place:
-                self._tell(name, place, frame.start, before | {frame.set_index})
+            if frame.start > end_of_last:
+                self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_index})
             if not frame.sound and not _is_torn(frame, length, len(content)):
                 self.unsound.append((name, frame))
             self.sets.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
             self.n_frames += 1
             self.last_sequence = max(self.last_sequence, frame.sequence)
-            place, before = frame.end, {frame.set_index}
-        # A header alone that is cut was never acknowledged; behind a whole one there are facts.
-        if length - place >= HEADER.size:
-            self._tell(name, place, length, before)
-        self.n_bytes += max(place, length)
+            end_of_last, last_sets = frame.end, {frame.set_index}
+        # A truncated header was never acknowledged; a complete one is followed by facts.
+        if length - end_of_last >= HEADER.size:
+            self._add_gap(name, end_of_last, length, last_sets)
+        self.n_bytes += max(end_of_last, length)
 
-    def _tell(self, name: str, start: int, end: int, neighbors: set[int]) -> None:
+    def _add_gap(self, name: str, start: int, end: int, neighbors: set[int]) -> None:
+        """Add bytes that are no frame, and the sets of the frames around them."""
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
-        self.odd.append(
+        self.gaps.append(
             (name, Damage(reason=f"bytes {start} to {end} are no frame, or one whose header is damaged"))
         )
 
 
 def _is_torn(frame: Frame, length: int, size: int) -> bool:
-    """Whether a frame was cut while it was written: the system writes page after page, the rest is zeros."""
+    """Return whether a frame was truncated by a crash: pages are written in order, the rest is zeros."""
     return frame.end > size or -(-length // _PAGE_BYTES) * _PAGE_BYTES < frame.end
 
 
 def check_journal(folder: Path) -> CheckedJournal:
     """Read every frame of a data folder's journal.
 
-    What a crash cut before anybody was told of it is no damage; where whole pages were lost in its midst,
-    as a power cut can do, nobody can tell it from damage.
+    A frame that a crash truncated before it was acknowledged is not corrupt. Pages lost in the middle of a
+    frame, as after a power cut, cannot be distinguished from corruption.
 
     Raises
     ------
@@ -97,28 +98,32 @@ def check_journal(folder: Path) -> CheckedJournal:
     """
     scan = _Scan()
     for number, content in contents(folder):
-        scan.take(number, _name(folder, number), content)
+        scan.take(number, _segment_name(folder, number), content)
     filed = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("set_*.h5"))
-    damages = list(scan.odd)
+    damages = list(scan.gaps)
     misnamed = Damage(reason="it holds frames, but its name is no segment's")
     damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in strays(folder)]
-    told: set[int] = set()
-    for index, item in scan.sets.items():
-        if item.end is not None and index not in filed:
-            # Where several segments share a set, nobody knows in which of them a frame is gone.
-            own = [(name, frame) for name, frame in scan.unsound if frame.set_index == index]
-            places = {frame.sequence: name for name, frame in own}
-            for damage in item.damages():
-                told.add(damage.sequence or 0)
-                place = places.get(damage.sequence or 0, _name(folder, min(item.segments)))
-                damages.append((place, damage))
+    reported: set[int] = set()
+    for index, journaled in scan.sets.items():
+        if journaled.end is not None and index not in filed:
+            # If several segments share a set, the segment of a lost frame is unknown.
+            set_frames = [(name, frame) for name, frame in scan.unsound if frame.set_index == index]
+            segment_of = {frame.sequence: name for name, frame in set_frames}
+            for damage in journaled.damages():
+                reported.add(damage.sequence or 0)
+                segment = segment_of.get(damage.sequence or 0, _segment_name(folder, min(journaled.segments)))
+                damages.append((segment, damage))
     for name, frame in scan.unsound:
-        item = scan.sets[frame.set_index]
-        # Of a set with a file nobody reads it any more; a group that failed was written again elsewhere.
-        if frame.set_index not in filed and frame.sequence not in told and frame.sequence not in item.shots:
+        journaled = scan.sets[frame.set_index]
+        # Frames of a set with a file are not read any more; a failed write was repeated in another segment.
+        if (
+            frame.set_index not in filed
+            and frame.sequence not in reported
+            and frame.sequence not in journaled.shots
+        ):
             shot = f"shot {frame.sequence}" if frame.sequence >= 0 else "a note"
-            where = f"byte {frame.start}, {shot} of set {frame.set_index}"
-            reason = f"the frame at {where}, does not match its checksum"
+            location = f"byte {frame.start}, {shot} of set {frame.set_index}"
+            reason = f"the frame at {location}, does not match its checksum"
             damages.append((name, Damage(reason=reason, sequence=max(frame.sequence, 0) or None)))
     suspects = {frame.set_index for _, frame in scan.unsound} | scan.suspects
     return CheckedJournal(
@@ -132,5 +137,6 @@ def check_journal(folder: Path) -> CheckedJournal:
     )
 
 
-def _name(folder: Path, number: int) -> str:
+def _segment_name(folder: Path, number: int) -> str:
+    """Return the path of a segment relative to the data folder."""
     return segment_path(folder, number).relative_to(folder).as_posix()

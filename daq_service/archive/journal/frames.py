@@ -1,7 +1,7 @@
-"""Frames of the journal: each can be found, checked and read without any other.
+"""Frames of the journal: each can be found, checked and read on its own.
 
-Little-endian: a header with its own CRC-32 (`HEADER`), facts as JSON, raw counts. A reader that meets bytes
-that are no frame goes on at the next header whose checksum holds.
+Little-endian: a header with its own CRC-32 (`HEADER`), facts as JSON, raw counts. A reader skips
+bytes that are no frame up to the next header with a valid checksum.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Buffers = tuple[bytes, bytes | memoryview]
 
 
 class Kind(IntEnum):
-    """What a frame tells."""
+    """Kind of a frame."""
 
     BEGIN = 1
     SHOT = 2
@@ -40,19 +40,19 @@ class Kind(IntEnum):
     MISSED = 4
     END = 5
     ASIDE = 6
-    """What came before of this set was set aside."""
+    """The earlier frames of this set are discarded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """One frame as it was found.
+    """One frame as read from a segment.
 
     Attributes
     ----------
     start, end
-        Where it lies in its segment, by what its header says.
+        Byte range in its segment, according to its header.
     sound
-        Facts and counts match their checksum; of a frame that is not only the header is known.
+        Facts and counts match their checksum; if not, only the header is valid.
     """
 
     start: int
@@ -68,22 +68,22 @@ class Frame:
     counts: bytes
     sound: bool
 
-    def told(self) -> dict[str, Any]:
-        """Facts as an object."""
-        found: dict[str, Any] = json.loads(self.facts)
-        return found
+    def read_facts(self) -> dict[str, Any]:
+        """Return the facts as a dictionary."""
+        facts: dict[str, Any] = json.loads(self.facts)
+        return facts
 
 
 def begin_frame(
     set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
 ) -> Buffers:
-    """Tell that a set is begun, and what its end cannot tell if it never comes."""
+    """Return the frame for the start of a set."""
     facts = {"due_utc_ns": due_utc_ns, "retired": dict(retired)}
     return _frame(Kind.BEGIN, set_index, facts, utc_ns=started_utc_ns)
 
 
 def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
-    """Tell a record with everything that its file will hold of it."""
+    """Return the frame of a record with everything that its file will hold."""
     waveform, calibration = record.waveform, record.waveform.calibration
     facts: dict[str, Any] = {
         "key": [record.key.position, record.key.shot_index, record.key.attempt],
@@ -120,14 +120,14 @@ def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
 
 
 def missed_frame(missed: MissedRecord, utc_ns: int) -> Buffers:
-    """Tell what was tried and left no record."""
-    facts = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
-    told = {**facts, "cause": missed.cause, "reason": missed.reason}
-    return _frame(Kind.MISSED, missed.key.set_index, told, utc_ns=utc_ns)
+    """Return the frame of a strike or echo that left no record."""
+    key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
+    facts = {**key, "cause": missed.cause, "reason": missed.reason}
+    return _frame(Kind.MISSED, missed.key.set_index, facts, utc_ns=utc_ns)
 
 
 def end_frame(record: SetRecord) -> Buffers:
-    """Tell everything of a whole set but its records, and which these are.
+    """Return the frame for the end of a complete set: everything but the records, and their ids.
 
     Raises
     ------
@@ -144,9 +144,11 @@ def end_frame(record: SetRecord) -> Buffers:
         "missed": [
             {**asdict(item.key), "cause": item.cause, "reason": item.reason} for item in record.missed
         ],
-        "outcomes": [[sequence, told] for sequence, told in record.outcomes.items() if told != "accepted"],
+        "outcomes": [
+            [sequence, outcome] for sequence, outcome in record.outcomes.items() if outcome != "accepted"
+        ],
         "trouble": record.trouble,
-        "environment": {name: told for name, told in record.environment.items() if told is not None},
+        "environment": {name: value for name, value in record.environment.items() if value is not None},
         "provenance": record.provenance,
         "records": [
             [item.sequence, item.key.position, item.key.shot_index, item.key.attempt]
@@ -157,7 +159,7 @@ def end_frame(record: SetRecord) -> Buffers:
 
 
 def aside_frame(set_index: int) -> Buffers:
-    """Tell that what came before of a set was set aside."""
+    """Return the frame that discards the earlier frames of a set."""
     return _frame(Kind.ASIDE, set_index, {}, utc_ns=0)
 
 
@@ -173,9 +175,10 @@ def _frame(
     counts_crc32: int = 0,
     width: int = 0,
 ) -> Buffers:
+    """Return a frame with its header and checksums."""
     text = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
     if b"null" in text:
-        # What is no finite number: orjson makes null of it, json keeps it.
+        # orjson writes NaN and infinities as null, json keeps them.
         text = json.dumps(facts).encode()
     lengths = (width, len(text), len(counts))
     body = _body_crc32(text, counts_crc32)
@@ -185,31 +188,32 @@ def _frame(
 
 
 def _body_crc32(facts: bytes, counts_crc32: int) -> int:
-    # Of the counts alone the file and the catalogue ask too: it is computed once.
+    # File and catalogue use the CRC-32 of the counts, too: it is computed once.
+    """Compute the CRC-32 of facts and of the CRC-32 of the counts."""
     return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 
 def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
-    """Every frame of a segment, or those of a set; bytes between them that are none are passed over."""
-    whole, place = memoryview(content), 0
-    # One byte is found far sooner than four behind the zeros that a segment ends with.
-    while (place := content.find(MAGIC[:1], place)) >= 0 and place + HEADER.size <= len(content):
+    """Yield every frame of a segment, or those of one set; skip bytes that are no frame."""
+    view, offset = memoryview(content), 0
+    # Searching one byte is far faster than four in the zeros at the end of a segment.
+    while (offset := content.find(MAGIC[:1], offset)) >= 0 and offset + HEADER.size <= len(content):
         magic, version, kind, width, n_facts, n_counts, set_index, sequence, utc_ns, mono_ns, body, crc32 = (
-            HEADER.unpack_from(whole, place)
+            HEADER.unpack_from(view, offset)
         )
-        start = place + HEADER.size
+        start = offset + HEADER.size
         end = start + n_facts + n_counts
         known = magic == MAGIC and version == VERSION
-        if not known or zlib.crc32(whole[place : start - _CRC.size]) != crc32:
-            place += 1
+        if not known or zlib.crc32(view[offset : start - _CRC.size]) != crc32:
+            offset += 1
             continue
         if of_set is not None and set_index != of_set:
-            place = end
+            offset = end
             continue
-        facts, counts = bytes(whole[start : start + n_facts]), bytes(whole[start + n_facts : end])
+        facts, counts = bytes(view[start : start + n_facts]), bytes(view[start + n_facts : end])
         sound = end <= len(content) and _body_crc32(facts, zlib.crc32(counts)) == body
         yield Frame(
-            start=place,
+            start=offset,
             end=end,
             kind=Kind(kind),
             set_index=set_index,
@@ -221,36 +225,36 @@ def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
             counts=counts,
             sound=sound,
         )
-        # The length of a damaged frame is covered by its header's checksum: what follows is still found.
-        place = end
+        # The header's checksum covers the length of a corrupt frame, so later frames are still found.
+        offset = end
 
 
 def record_of(frame: Frame) -> Shot | PulseEchoRecord:
     """Return the record of a sound frame, bit for bit."""
-    told = frame.told()
-    position, shot_index, attempt = told["key"]
-    calibration = told["calibration"]
+    facts = frame.read_facts()
+    position, shot_index, attempt = facts["key"]
+    calibration = facts["calibration"]
     common: dict[str, Any] = {
         "sequence": frame.sequence,
         "key": ShotKey(position=position, set_index=frame.set_index, shot_index=shot_index, attempt=attempt),
-        "stamp": Stamp(utc_ns=frame.utc_ns, mono_ns=frame.mono_ns, boot_id=told["boot_id"]),
+        "stamp": Stamp(utc_ns=frame.utc_ns, mono_ns=frame.mono_ns, boot_id=facts["boot_id"]),
         "waveform": Waveform(
             counts=np.frombuffer(frame.counts, dtype=f"<i{frame.width}"),
-            sample_rate_hz=told["sample_rate_hz"],
-            pretrigger_samples=told["pretrigger_samples"],
+            sample_rate_hz=facts["sample_rate_hz"],
+            pretrigger_samples=facts["pretrigger_samples"],
             calibration=Calibration(
                 **{**calibration, "coefficients_v": np.array(calibration["coefficients_v"])}
             ),
         ),
-        "truth": told["truth"],
-        "settings": told["settings"],
+        "truth": facts["truth"],
+        "settings": facts["settings"],
     }
-    return PulseEchoRecord(**common, **told["receiver"]) if frame.kind is Kind.ECHO else Shot(**common)
+    return PulseEchoRecord(**common, **facts["receiver"]) if frame.kind is Kind.ECHO else Shot(**common)
 
 
 def missed_of(frame: Frame) -> MissedRecord:
-    """Return what a sound frame says was tried in vain."""
-    told = frame.told()
-    position, shot_index, attempt = told["key"]
+    """Return the missed record of a sound frame."""
+    facts = frame.read_facts()
+    position, shot_index, attempt = facts["key"]
     key = ShotKey(position=position, set_index=frame.set_index, shot_index=shot_index, attempt=attempt)
-    return MissedRecord(key=key, cause=told["cause"], reason=told["reason"])
+    return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])

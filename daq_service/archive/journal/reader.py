@@ -1,4 +1,4 @@
-"""What lies in the journal: whole sets that have no file yet, and sets that a crash or a stop left open."""
+"""Read the journal: complete sets without a file, and sets that a crash or a stop left open."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NAME = re.compile(r"(\d{6,})\.journal")
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class JournaledSet:
-    """Everything that the journal holds of a set.
+    """All frames of a set in the journal.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class JournaledSet:
     end
         Facts of its end; None: it was never ended.
     segments
-        Numbers of the segments in which its frames lie.
+        Numbers of the segments that hold its frames.
     """
 
     set_index: int
@@ -49,10 +49,10 @@ class JournaledSet:
     segments: set[int] = field(default_factory=set)
 
     def take(self, frame: Frame, segment: int) -> None:
-        """Add what a frame says; a record that was written twice counts once."""
+        """Add a frame; a record that was written twice counts once."""
         self.segments.add(segment)
         if not frame.sound:
-            return  # torn with the power, or damaged later: then the set's end names what is missing
+            return  # truncated by a power cut or corrupt: the set's end frame names the missing records
         self.last_utc_ns = max(self.last_utc_ns, frame.utc_ns)
         match frame.kind:
             case Kind.BEGIN:
@@ -67,41 +67,41 @@ class JournaledSet:
                 self.shots.clear()
                 self.missed.clear()
             case Kind.END:
-                self.end = {**frame.told(), "ended_utc_ns": frame.utc_ns}
+                self.end = {**frame.read_facts(), "ended_utc_ns": frame.utc_ns}
 
     @property
     def reference(self) -> SetReference | None:
-        """The file that it will have; None before its end."""
+        """Reference of its future file; None before its end."""
         return None if self.end is None else set_reference(self.set_index, self.end["due_utc_ns"])
 
     @property
     def is_whole(self) -> bool:
-        """It was ended, and every record is sound."""
+        """Whether it has an end and every record is sound."""
         return self.end is not None and not self.damages()
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its counts."""
+        """Size of its counts in bytes."""
         return sum(len(frame.counts) for frame in self.shots.values())
 
     @property
     def has_records(self) -> bool:
-        """One record at least is sound."""
+        """Whether it has a sound record."""
         return bool(self.shots)
 
     def sequence_of(self, position: str, shot_index: int) -> int | None:
-        """Of the attempts at a shot the accepted one; None if there was none."""
+        """Return the sequence of the accepted attempt at a shot; None if there was none."""
         assert self.end is not None, "only an ended set names its records"
         replaced = {sequence for sequence, _ in self.end["outcomes"]}
         attempts = [
             (sequence not in replaced, attempt, sequence)
-            for sequence, place, index, attempt in self.end["records"]
-            if (place, index) == (position, shot_index)
+            for sequence, name, index, attempt in self.end["records"]
+            if (name, index) == (position, shot_index)
         ]
         return max(attempts)[-1] if attempts else None
 
     def damages(self) -> list[Damage]:
-        """List the records that its end names and that cannot be read."""
+        """List the records that the end frame names and that cannot be read."""
         assert self.end is not None, "only an ended set names its records"
         return [
             Damage(
@@ -115,39 +115,39 @@ class JournaledSet:
         ]
 
     def record(self) -> SetRecord:
-        """Return the set as it was ended, as far as its records are sound."""
-        told = self.end
-        assert told is not None, "a set that was not ended has no record"
-        sequences = [sequence for sequence, *_ in told["records"] if sequence in self.shots]
-        taken = [record_of(self.shots[sequence]) for sequence in sequences]
+        """Return the complete set with its sound records."""
+        end = self.end
+        assert end is not None, "a set that was not ended has no record"
+        sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
+        records = [record_of(self.shots[sequence]) for sequence in sequences]
         return SetRecord(
             set_index=self.set_index,
-            positions=[PositionRecord(**position) for position in told["positions"]],
-            shots=[item for item in taken if isinstance(item, Shot)],
-            echoes=[item for item in taken if isinstance(item, PulseEchoRecord)],
-            missed=[_missed(item) for item in told["missed"]],
-            outcomes={sequence: text for sequence, text in told["outcomes"] if sequence in sequences},
-            **{name: told[name] for name in _PLAIN},
+            positions=[PositionRecord(**position) for position in end["positions"]],
+            shots=[item for item in records if isinstance(item, Shot)],
+            echoes=[item for item in records if isinstance(item, PulseEchoRecord)],
+            missed=[_missed_record(item) for item in end["missed"]],
+            outcomes={sequence: text for sequence, text in end["outcomes"] if sequence in sequences},
+            **{name: end[name] for name in _PLAIN},
         )
 
     def opened(self) -> OpenSet | None:
-        """Return what was durable of a set that is not whole; None if nothing of it is left."""
-        told: dict[str, Any]
+        """Return the durable part of an incomplete set; None if nothing is left."""
+        facts: dict[str, Any]
         if self.begin is not None:
-            told = {**self.begin.told(), "started_utc_ns": self.begin.utc_ns}
+            facts = {**self.begin.read_facts(), "started_utc_ns": self.begin.utc_ns}
         elif self.end is not None:
-            told = {**self.end, "retired": {}}
+            facts = {**self.end, "retired": {}}
         elif self.shots or self.missed:
             first_ns = min((frame.utc_ns for frame in self.shots.values()), default=self.last_utc_ns)
-            told = {"due_utc_ns": first_ns, "started_utc_ns": first_ns, "retired": {}}
+            facts = {"due_utc_ns": first_ns, "started_utc_ns": first_ns, "retired": {}}
         else:
             return None
         return OpenSet(
             set_index=self.set_index,
-            due_utc_ns=told["due_utc_ns"],
-            started_utc_ns=told["started_utc_ns"],
+            due_utc_ns=facts["due_utc_ns"],
+            started_utc_ns=facts["started_utc_ns"],
             last_utc_ns=self.last_utc_ns,
-            retired=told["retired"],
+            retired=facts["retired"],
             is_dated=self.begin is not None or self.end is not None,
             records=[record_of(frame) for _, frame in sorted(self.shots.items())],
             missed=list(self.missed.values()),
@@ -160,59 +160,62 @@ _PLAIN = (
 )
 
 
-def _missed(told: Mapping[str, Any]) -> MissedRecord:
-    key = ShotKey(**{name: told[name] for name in ("position", "set_index", "shot_index", "attempt")})
-    return MissedRecord(key=key, cause=told["cause"], reason=told["reason"])
+def _missed_record(facts: Mapping[str, Any]) -> MissedRecord:
+    """Return the missed record of an end frame's entry."""
+    key = ShotKey(**{name: facts[name] for name in ("position", "set_index", "shot_index", "attempt")})
+    return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
 def segments(folder: Path) -> dict[int, Path]:
-    """Segments of a data folder by their number, in order."""
-    found = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
-    return dict(sorted((int(match[1]), path) for match, path in found if match))
+    """Return the segments of a data folder by number, in order."""
+    files = ((_NAME.fullmatch(path.name), path) for path in (folder / JOURNAL_FOLDER).glob("*.journal"))
+    return dict(sorted((int(match[1]), path) for match, path in files if match))
 
 
 def number_of(file: str) -> int:
-    """Return the number of a segment by its name."""
+    """Return the number in a segment's file name."""
     return int(Path(file).stem)
 
 
 def strays(folder: Path) -> list[Path]:
-    """Files of the journal's folder that hold frames, but have no segment's name."""
+    """List the files of the journal's folder that hold frames but lack a segment's name."""
     others = (path for path in (folder / JOURNAL_FOLDER).glob("*") if not _NAME.fullmatch(path.name))
     return [path for path in others if path.is_file() and any(frames(read_shared(path)))]
 
 
 def segment_path(folder: Path, number: int) -> Path:
-    """Where a segment lies."""
+    """Return the path of a segment."""
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
 
 def read_journal(
     folder: Path, *, of_set: int | None = None, places: Places | None = None
 ) -> dict[int, JournaledSet]:
-    """Read every segment; set index to what there is of it (of one set alone), in the order of the sets.
+    """Read all segments and return the journaled sets by set index, in the order of the sets.
 
-    A segment that goes while it is read has left its sets in files of their own.
+    A segment that disappears meanwhile has left its sets in files of their own.
 
     Parameters
     ----------
+    of_set
+        Read this set alone.
     places
-        Where the frames of that set lie, as far as that is known (`Archive.places`); None: anywhere.
+        Byte ranges of that set's frames (`Archive.places`); None: read all segments completely.
 
     Raises
     ------
     OSError
         A segment cannot be read.
     """
-    found: dict[int, JournaledSet] = {}
+    journaled: dict[int, JournaledSet] = {}
     for number, content in contents(folder, places):
         for frame in frames(content, of_set=of_set):
-            found.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
-    return dict(sorted(found.items()))
+            journaled.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
+    return dict(sorted(journaled.items()))
 
 
 def contents(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of each segment, or its place, in order; one that goes meanwhile is left out."""
+    """Yield number and bytes of each segment, or of a byte range of it, in order; skip vanished segments."""
     for number, path in segments(folder).items():
         if places is not None and number not in places:
             continue

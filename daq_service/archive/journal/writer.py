@@ -1,4 +1,4 @@
-"""Append to the journal: frames gather in memory, one write and one fdatasync acknowledge them all."""
+"""Append to the journal: collect frames in memory, then acknowledge them with one write and one fdatasync."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot
 log = logging.getLogger(__name__)
 
 SEGMENT_BYTES = 16 * 2**20
-"""Allocated at once, so that a sync has no sizes to store; some twenty sets."""
+"""Allocated at once, so that a sync stores no file size; about twenty sets."""
 _NO_ALLOCATION = {errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 synchronise = getattr(os, "fdatasync", os.fsync)
-"""Data and their size, not the times of the file, where the system knows the difference."""
+"""Sync data and file size; not the file times, where the system distinguishes them."""
 
 
 class Journal:
-    """The segments of one data folder in the hands of the recorder.
+    """The recorder's segments of one data folder.
 
-    Opening reads what an earlier process left and copies damaged segments to the quarantine. New frames go to
-    a new segment: what the tail of an older one looks like on the disk is not known.
+    Opening reads earlier segments and copies corrupt ones to the quarantine. New frames go to a new segment,
+    because the state of an older one's tail on the disk is unknown.
 
     Attributes
     ----------
     left, damage
-        What was found at the opening, by set index, and what of it is damaged.
+        Sets found when the journal was opened, by set index, and their corruption.
 
     Raises
     ------
@@ -78,31 +78,33 @@ class Journal:
         self._pending_sets: set[int] = set()
 
     def _rename_strays(self) -> dict[str, str]:
-        """Give files whose names are damaged a segment's name; return what each had before."""
-        had = {}
+        """Rename files with corrupt names to segments; return the former name of each."""
+        former_names = {}
         for path in strays(self._folder):
             new = segment_path(self._folder, max(segments(self._folder), default=0) + 1)
             patiently(partial(os.rename, path, new))
-            had[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
-        return had
+            former_names[f"{JOURNAL_FOLDER}/{new.name}"] = path.name
+        return former_names
 
     def _copy_damaged(self, checked: CheckedJournal, renamed: Mapping[str, str]) -> JournalDamage:
-        """Copy damaged segments to the quarantine, before anything of them can be dropped."""
-        found = {file: [f"its name was {name}"] for file, name in renamed.items()}
+        """Copy corrupt segments to the quarantine before any of their frames can be dropped."""
+        reasons_of = {file: [f"its name was {name}"] for file, name in renamed.items()}
         for file, damage in checked.damages:
-            found.setdefault(file, []).append(str(damage))
-        copies = {file: self._copy_aside(number_of(file), Path(file).name) for file in found}
-        for file, reasons in found.items():
+            reasons_of.setdefault(file, []).append(str(damage))
+        copies = {file: self._copy_aside(number_of(file), Path(file).name) for file in reasons_of}
+        for file, reasons in reasons_of.items():
             log.error("%s is damaged: %s; a copy is %s", file, "; ".join(reasons), copies[file])
         return JournalDamage(
-            files={copies[file]: f"copy of {file}: {'; '.join(reasons)}" for file, reasons in found.items()},
+            files={
+                copies[file]: f"copy of {file}: {'; '.join(reasons)}" for file, reasons in reasons_of.items()
+            },
             sets=checked.suspects,
             next_sequence=checked.last_sequence + 1,
             n_lost=checked.n_lost,
         )
 
     def _copy_aside(self, number: int, name: str) -> str:
-        """Copy a segment to the quarantine, once; return where it is."""
+        """Copy a segment to the quarantine, once; return its path there."""
         content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
         copy = self._folder / QUARANTINE_FOLDER / name
         copy.parent.mkdir(exist_ok=True)
@@ -116,21 +118,21 @@ class Journal:
     def begin(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
-        """Note a set that is begun; durable with the next sync."""
+        """Add the start of a set; durable with the next sync."""
         frame = begin_frame(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
         self._add(set_index, frame)
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
-        """Take a record in; acknowledged by the next sync."""
+        """Add a record; acknowledged by the next sync."""
         self._add(record.key.set_index, record_frame(record))
         self._unacknowledged.append(record.sequence)
 
     def append_missed(self, missed: MissedRecord, utc_ns: int) -> None:
-        """Take in what was tried and left no record."""
+        """Add a strike or echo that left no record."""
         self._add(missed.key.set_index, missed_frame(missed, utc_ns))
 
     def end(self, set_index: int, frame: Buffers) -> None:
-        """Note that a set is whole (`frames.end_frame`); durable with the next sync."""
+        """Add the end of a complete set (`frames.end_frame`); durable with the next sync."""
         self._add(set_index, frame)
 
     def _add(self, set_index: int, frame: Buffers) -> None:
@@ -138,7 +140,7 @@ class Journal:
         self._pending_sets.add(set_index)
 
     def set_aside(self, set_index: int, name: str) -> None:
-        """Copy the segments of a set, under its name, for a person to look at; the set may begin anew.
+        """Copy the segments of a set to the quarantine under its name; the set may then start again.
 
         Raises
         ------
@@ -153,15 +155,15 @@ class Journal:
         self.settle(set_index)
 
     def sync(self) -> list[int]:
-        """Make everything durable that was taken in; return the ids of the shots that this acknowledges.
+        """Make all added frames durable; return the ids of the acknowledged shots.
 
-        A sync that failed is never repeated on its segment, since the second one may succeed although the
-        data are gone: the frames go to a new segment, from memory.
+        A failed sync is never repeated on its segment, since the second one may succeed although the data are
+        lost: the frames are written again from memory to a new segment.
 
         Raises
         ------
         OSError
-            Nothing was acknowledged; everything stays for the next call.
+            Nothing was acknowledged; all frames stay for the next call.
         """
         if not self._pending:
             return []
@@ -181,6 +183,7 @@ class Journal:
         return acknowledged
 
     def _write(self, content: list[bytes | memoryview]) -> None:
+        """Write buffers to the present segment, or to a new one, and sync it."""
         n_bytes = sum(map(len, content))
         if self._descriptor is None or self._room < n_bytes:
             self._abandon()
@@ -195,6 +198,7 @@ class Journal:
         self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
+        """Open the next segment and allocate its space."""
         self._number += 1
         path = segment_path(self._folder, self._number)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
@@ -205,27 +209,27 @@ class Journal:
             try:
                 os.posix_fallocate(self._descriptor, 0, self._room)
             except OSError as error:
-                # A nearly full disk, or one that cannot allocate: then as far as it goes.
+                # A nearly full disk, or one that cannot allocate: write without allocation.
                 if error.errno not in _NO_ALLOCATION:
                     raise
         sync_folder(path.parent)
 
     def _abandon(self) -> None:
-        """Write no more to the present segment; it goes where nothing in it was acknowledged or is needed."""
+        """Close the present segment; remove it if it holds no needed frame."""
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is None:
             return
-        with contextlib.suppress(OSError):  # its last sync has said whether its frames are durable
+        with contextlib.suppress(OSError):  # its last sync decided whether its frames are durable
             os.close(descriptor)
         if not self._sets_in[self._number]:  # else a failing disk would be filled with empty segments
             self._drop(self._number)
 
     def places(self, set_index: int) -> Places:
-        """Where every durable frame of a set lies."""
+        """Return the byte ranges of a set's durable frames by segment."""
         return {number: sets[set_index] for number, sets in self._sets_in.items() if set_index in sets}
 
     def settle(self, set_index: int) -> None:
-        """Forget a set that has a file of its own, or rows and no record; segments without others go."""
+        """Remove a set that has its own file, or rows and no record; remove segments without other sets."""
         self.left.pop(set_index, None)
         for number, indices in list(self._sets_in.items()):
             indices.pop(set_index, None)
@@ -233,13 +237,14 @@ class Journal:
                 self._drop(number)
 
     def _drop(self, number: int) -> None:
+        """Remove a segment's file."""
         path = segment_path(self._folder, number)
         remove_quietly(path)
-        if not path.exists():  # else the next set that is settled tries again
+        if not path.exists():  # else the next call of `settle` tries again
             del self._sets_in[number]
 
     def close(self) -> None:
-        """Let go of the present segment; nothing of it is lost, and it goes if nobody needs it any more."""
+        """Close the present segment and remove segments without open sets; no frame is lost."""
         self._abandon()
         for number, indices in list(self._sets_in.items()):
             if not indices:

@@ -1,1 +1,1 @@
-"""All records of a position as one picture: cells of extremes, kept as tiles that may be deleted."""
+"""Waterfall plot of all records of a position: cells of extremes, cached in tiles that may be deleted."""

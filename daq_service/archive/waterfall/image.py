@@ -1,4 +1,4 @@
-"""The picture of a range of sets and times: from tiles, and where these lack something from the records."""
+"""Draw a range of sets and times from tiles, and from the records where tiles are incomplete."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ import numpy as np
 from daq_service.archive.errors import ArchiveError
 from daq_service.archive.protocol import SetReader
 from daq_service.archive.records import SetReference
-from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarser, nothing, of_set
+from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarsen, empty_planes, planes_of_set
 from daq_service.archive.waterfall.tile_files import row_of, tiles_of
-from daq_service.archive.waterfall.tiles import FACTOR, LEVELS, TileRow, Tiles, joined
+from daq_service.archive.waterfall.tiles import FACTOR, LEVELS, TileRow, Tiles, join_rows
 
 log = logging.getLogger(__name__)
 
 SETS_AT_ONCE = 32
-"""Sets whose records one picture reads: some tenths of a second."""
+"""Maximum number of sets whose records are read for one figure: some tenths of a second."""
 MEMORY_BYTES = 64 * 2**20
-"""Rows made from records are kept in memory; somebody who asks again goes on from there."""
+"""Size of the cache of rows that were computed from records, for the next request."""
 
 
 class Index(Protocol):
-    """What a picture asks the catalogue."""
+    """Queries of a waterfall to the catalogue."""
 
     def n_stored(self, first: int, last: int) -> int:
         """Count the sets of the position that have records, with indices from ``first`` to ``last``."""
         ...
 
     def file(self, set_index: int) -> SetReference | None:
-        """Where the records of a set are; None: it has none."""
+        """Return the file with the records of a set; None if it has none."""
         ...
 
     def anchors(self, set_index: int) -> Mapping[int, float]:
-        """Shot id to the time of its first pulse or echo."""
+        """Return the time of the first pulse or echo by shot id."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """A part of a waterfall: sets ``first`` to ``last``, times from ``from_s`` to ``to_s`` after the anchor.
+    """Requested part of a waterfall: sets ``first`` to ``last``, times from ``from_s`` to ``to_s``.
 
-    ``rows`` and ``columns`` are the most that the picture may have.
+    Times are relative to the anchor; ``rows`` and ``columns`` are the maximum size.
     """
 
     first: int
@@ -60,22 +60,22 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """What is drawn.
+    """Rows and columns to draw.
 
     Attributes
     ----------
     frame
-        Of the columns.
+         Frame of the columns.
     row_sets
-        Planned sets of a row: a power of two, and a row begins at a multiple of it.
+        Number of planned sets per row: a power of two; rows start at multiples of it.
     rows
-        In the order of their sets; a row whose sets have no record is left out.
+        Rows in the order of their sets; rows without records are left out.
     peaks
-        Greatest magnitude of each row over all its cells, those beside the range of times too.
+        Maximum magnitude of each row over all its cells, also outside the range of times.
     pending
-        Sets that belong into it and were not read yet: ask again.
+        Number of sets that were not read yet; repeat the request.
     unreadable
-        Sets whose records are damaged or gone.
+        Sets whose records are corrupt or missing.
     """
 
     frame: Frame
@@ -87,12 +87,12 @@ class Picture:
 
 
 class WaterfallReader:
-    """Draws pictures; never writes, so that a folder may be read-only.
+    """Computes waterfall figures; never writes, so the folder may be read-only.
 
     Parameters
     ----------
     archive
-        Where records are that no tile has.
+        Source of records that no tile has.
     """
 
     def __init__(self, archive: SetReader) -> None:
@@ -103,7 +103,7 @@ class WaterfallReader:
         self.closing = False
 
     def close(self) -> None:
-        """Read no more records: an answer that is under way ends soon, and tells them as pending."""
+        """Stop reading records: a running request ends soon and counts the rest as pending."""
         self.closing = True
 
     def tiles(
@@ -114,67 +114,72 @@ class WaterfallReader:
         alignment: Alignment,
         files: Iterable[SetReference],
     ) -> Tiles | None:
-        """Find the tiles of a position by its first records; None: none of these files has one.
+        """Find the tiles of a position from its first records; None if no file has records of it.
 
-        All pictures of the position have this frame; records of another rate are not drawn.
+        All figures of the position have this frame; records of another rate are not drawn.
         """
         key = position, alignment
         for file in files if key not in self._tiles else ():
             try:
-                found = tiles_of(
+                tiles = tiles_of(
                     folder, experiment, self._archive.read_set(file, skip_damaged=True), position, alignment
                 )
             except ArchiveError as error:
                 log.warning("%s", error)
                 continue
-            if found is not None:
-                self._tiles[key] = found
+            if tiles is not None:
+                self._tiles[key] = tiles
                 break
         return self._tiles.get(key)
 
-    def picture(self, tiles: Tiles, index: Index, wanted: Wanted, less: Planes | None = None) -> Picture:
-        """Draw.
+    def figure_of_sets(
+        self, tiles: Tiles, index: Index, wanted: Wanted, reference: Planes | None = None
+    ) -> Picture:
+        """Compute the figure of the requested part.
 
         Parameters
         ----------
-        less
-            Planes that each set's are reduced by before extremes are taken over sets and times: `mean`.
+        reference
+            Planes that are subtracted from each set before extremes are taken over sets and times: `mean`.
         """
         row_sets = 1
         while wanted.last // row_sets - wanted.first // row_sets >= wanted.rows:
             row_sets *= 2
-        frame = _frame(tiles.frame, wanted, may_be_finer=less is None and row_sets == 1)
+        frame = _columns_of(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
         reading = _Reading(self, _with_frame(tiles, frame), index)
         level = min((row_sets.bit_length() - 1) // 2, LEVELS - 1)
-        by_row: dict[int, list[TileRow]] = {}
+        rows_by_number: dict[int, list[TileRow]] = {}
         for row in reading.rows(level, wanted.first // FACTOR**level, wanted.last // FACTOR**level):
-            by_row.setdefault(row.first_set // row_sets, []).append(row)
-        rows = [joined(by_row[number]) for number in sorted(by_row)]
-        shift = np.float32(0.0) if less is None else less
-        volts = [row.planes - shift for row in rows]
-        of = reading.tiles.frame
+            rows_by_number.setdefault(row.first_set // row_sets, []).append(row)
+        rows = [join_rows(rows_by_number[number]) for number in sorted(rows_by_number)]
+        offset = np.float32(0.0) if reference is None else reference
+        volts = [row.planes - offset for row in rows]
+        tile_frame = reading.tiles.frame
         return Picture(
             frame=frame,
             row_sets=row_sets,
-            rows=[replace(row, planes=coarser(its, of, frame)) for row, its in zip(rows, volts, strict=True)],
-            peaks=[float(np.nanmax(np.abs(its), initial=0.0)) for its in volts],
+            rows=[
+                replace(row, planes=coarsen(planes, tile_frame, frame))
+                for row, planes in zip(rows, volts, strict=True)
+            ],
+            peaks=[float(np.nanmax(np.abs(planes), initial=0.0)) for planes in volts],
             pending=reading.pending,
             unreadable=reading.unreadable,
         )
 
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
-        """Mean over sets of the least and greatest volts of a cell; of how many sets, and how many wait."""
+        """Return the mean extremes of each cell over sets, the number of sets, and the number pending."""
         reading = _Reading(self, tiles, index)
-        rows = [row.planes for one in sets for row in reading.rows(0, one, one)]
-        found = np.stack(rows or [nothing(tiles.frame)])
-        known = np.isfinite(found)
-        total = np.where(known, found, np.float32(0.0)).sum(axis=0, dtype=np.float64)
-        count = known.sum(axis=0)
+        rows = [row.planes for set_index in sets for row in reading.rows(0, set_index, set_index)]
+        stacked = np.stack(rows or [empty_planes(tiles.frame)])
+        is_finite = np.isfinite(stacked)
+        total = np.where(is_finite, stacked, np.float32(0.0)).sum(axis=0, dtype=np.float64)
+        count = is_finite.sum(axis=0)
         planes = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
         return planes.astype(np.float32), len(rows), reading.pending
 
-    def made(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
-        """Make the row of a set from its records.
+    def row_from_records(self, tiles: Tiles, index: Index, set_index: int, file: SetReference) -> TileRow:
+        """Compute the row of a set from its records.
 
         Raises
         ------
@@ -182,19 +187,19 @@ class WaterfallReader:
             They cannot be read.
         """
         record = self._archive.read_set(file, skip_damaged=True)
-        planes = of_set(record, tiles.position, tiles.alignment, index.anchors(set_index), tiles.frame)
+        planes = planes_of_set(record, tiles.position, tiles.alignment, index.anchors(set_index), tiles.frame)
         return row_of(record, planes)
 
-    def remembered(self, tiles: Tiles, set_index: int) -> TileRow | None:
-        """Give a row that was made before."""
+    def cached_row(self, tiles: Tiles, set_index: int) -> TileRow | None:
+        """Return a row from the cache; None if it is not there."""
         with self._lock:
             return self._memory.get((tiles.position, repr((tiles.alignment, tiles.frame)), set_index))
 
-    def remember(self, tiles: Tiles, set_index: int, row: TileRow) -> None:
-        """Keep a row for the next picture; the oldest ones go."""
+    def cache_row(self, tiles: Tiles, set_index: int, row: TileRow) -> None:
+        """Add a row to the cache and drop the oldest ones if it is full."""
         key = tiles.position, repr((tiles.alignment, tiles.frame)), set_index
         with self._lock:
-            if key not in self._memory:  # two requests may have made it
+            if key not in self._memory:  # two requests may have computed it
                 self._memory[key] = row
                 self._n_bytes += row.planes.nbytes
             while self._n_bytes > MEMORY_BYTES:
@@ -202,7 +207,7 @@ class WaterfallReader:
 
 
 class _Reading:
-    """The rows of one picture, and what they lack."""
+    """Reads the rows of one figure and counts the missing ones."""
 
     def __init__(self, reader: WaterfallReader, tiles: Tiles, index: Index) -> None:
         self._reader, self.tiles, self._index = reader, tiles, index
@@ -210,32 +215,34 @@ class _Reading:
         self.pending, self.unreadable = 0, list[int]()
 
     def rows(self, level: int, first: int, last: int) -> list[TileRow]:
-        """Rows of a level, each whole: with all sets that are stored, as far as they could be read."""
-        kept = dict(self.tiles.rows(level, first, last))
-        found = (self._row(level, number, kept.get(number)) for number in range(first, last + 1))
-        return [row for row in found if row is not None]
+        """Return the complete rows of a level: with all stored sets, as far as these could be read."""
+        tile_rows = dict(self.tiles.rows(level, first, last))
+        rows = (self._row(level, number, tile_rows.get(number)) for number in range(first, last + 1))
+        return [row for row in rows if row is not None]
 
-    def _row(self, level: int, number: int, kept: TileRow | None) -> TileRow | None:
+    def _row(self, level: int, number: int, tile_row: TileRow | None) -> TileRow | None:
+        """Return a row from its tile, or from the rows of the next finer level."""
         size = FACTOR**level
-        if kept is not None and kept.n_sets == size:
-            return kept
+        if tile_row is not None and tile_row.n_sets == size:
+            return tile_row
         n_stored = self._index.n_stored(number * size, (number + 1) * size - 1)
-        if kept is not None and kept.n_sets == n_stored:
-            return kept
+        if tile_row is not None and tile_row.n_sets == n_stored:
+            return tile_row
         if n_stored == 0:
             return None
         if level == 0:
-            return self._of_records(number)
+            return self._row_of_set(number)
         if self._left == 0:
             self.pending += n_stored
             return None
-        below = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
-        return joined(below) if below else None
+        finer_rows = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
+        return join_rows(finer_rows) if finer_rows else None
 
-    def _of_records(self, set_index: int) -> TileRow | None:
-        remembered = self._reader.remembered(self.tiles, set_index)
-        if remembered is not None:
-            return remembered
+    def _row_of_set(self, set_index: int) -> TileRow | None:
+        """Return the row of a set from the cache or from its records."""
+        cached_row = self._reader.cached_row(self.tiles, set_index)
+        if cached_row is not None:
+            return cached_row
         if self._left == 0 or self._reader.closing:
             self.pending += 1
             return None
@@ -244,27 +251,27 @@ class _Reading:
         if file is None:
             return None
         try:
-            row = self._reader.made(self.tiles, self._index, set_index, file)
+            row = self._reader.row_from_records(self.tiles, self._index, set_index, file)
         except ArchiveError as error:
             log.warning("%s", error)
             self.unreadable.append(set_index)
             return None
-        self._reader.remember(self.tiles, set_index, row)
+        self._reader.cache_row(self.tiles, set_index, row)
         return row
 
 
-def _frame(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
-    """Columns of a picture: the narrowest of which no more are needed than wanted.
+def _columns_of(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
+    """Return the columns of a figure: the narrowest cells that do not exceed the requested number.
 
-    Two at least: those before and after the anchor, whatever their width.
+    At least two columns: before and after the anchor, independent of their width.
     """
-    few = wanted.last - wanted.first < SETS_AT_ONCE
-    width = 1 if few and may_be_finer else frame.width
+    is_short_range = wanted.last - wanted.first < SETS_AT_ONCE
+    width = 1 if is_short_range and may_be_finer else frame.width
     while (part := frame.part(wanted.from_s, wanted.to_s, width)).n_cells > max(2, wanted.columns):
         width *= 2
     return part
 
 
 def _with_frame(tiles: Tiles, frame: Frame) -> Tiles:
-    """Tiles of finer cells, where these are wanted: nobody keeps such, they come from the records."""
+    """Return tiles with finer cells if they are requested: these are computed from records, not stored."""
     return replace(tiles, frame=frame) if frame.width < tiles.frame.width else tiles

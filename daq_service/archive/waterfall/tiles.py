@@ -1,10 +1,9 @@
-"""Rows of a waterfall kept in files, in levels of 1, 4, 16, ... sets a row: a cache, a hint.
+"""Read and write cached waterfall rows in tile files, in levels of 1, 4, 16, ... sets per row.
 
-``tiles/{position}/{alignment}/{sets of a row}-{number}.tile`` holds 64 rows in slots of one size, behind a
-header that says of which experiment, position and frame they are. Each slot has a CRC-32 and counts its sets.
-Whatever is absent, torn, of another experiment or not complete is passed over by a reader, who takes the
-rows below, at last the records themselves. One process at a time writes, for the owner of the
-recorder's lock.
+``tiles/{position}/{alignment}/{sets of a row}-{number}.tile`` holds 64 rows in slots of one size after a
+header with experiment, position and frame. Each slot has a CRC-32 and its number of sets. A reader skips rows
+that are missing, truncated, incomplete or of another experiment, and uses the finer rows or the records. One
+process at a time writes, for the owner of the recorder's lock.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, merged
+from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, merge_planes
 
 log = logging.getLogger(__name__)
 
@@ -33,19 +32,19 @@ LEVELS = 7
 FORMAT = 1
 _HEADER_BYTES = 512
 _FACTS = struct.Struct("<IIqqqdd16x")
-"""CRC-32 of what follows it, nothing, n_sets, first_set, last_set, first_h, last_h."""
+"""CRC-32 of the rest, padding, n_sets, first_set, last_set, first_h, last_h."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TileRow:
-    """One row of a picture: the extremes of the records of some neighbouring sets of a position.
+    """One row of a waterfall: extremes of the records of adjacent sets of a position.
 
     Attributes
     ----------
     n_sets
-        Sets whose records are in it.
+         Number of sets in it.
     planes
-        Shape (2, n_cells) in V, least and greatest; NaN where there is no sample.
+        Shape (2, n_cells) in V, minimum and maximum; NaN if there is no sample.
     """
 
     n_sets: int
@@ -56,28 +55,28 @@ class TileRow:
     planes: Planes
 
 
-def joined(rows: Sequence[TileRow]) -> TileRow:
-    """Make one row of several, in the order of their sets."""
+def join_rows(rows: Sequence[TileRow]) -> TileRow:
+    """Combine rows to one, in the order of their sets."""
     return TileRow(
         n_sets=sum(row.n_sets for row in rows),
         first_set=rows[0].first_set,
         last_set=rows[-1].last_set,
         first_h=rows[0].first_h,
         last_h=rows[-1].last_h,
-        planes=merged([row.planes for row in rows]),
+        planes=merge_planes([row.planes for row in rows]),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tiles:
-    """The tiles of a position at one alignment.
+    """Tiles of a position at one alignment.
 
     Parameters
     ----------
     folder
         The data folder.
     experiment
-        Names the test, so that tiles of another one are not taken for these.
+        Identifier of the test, so that tiles of another test are ignored.
     """
 
     folder: Path
@@ -87,78 +86,82 @@ class Tiles:
     frame: Frame
 
     def rows(self, level: int, first: int, last: int) -> Iterator[tuple[int, TileRow]]:
-        """Read the sound rows of a level with numbers from ``first`` to ``last``, where there are such."""
+        """Read the sound rows of a level with indices from ``first`` to ``last``."""
         for tile in range(first // ROWS_OF_A_TILE, last // ROWS_OF_A_TILE + 1):
-            begin = max(first, tile * ROWS_OF_A_TILE)
+            start = max(first, tile * ROWS_OF_A_TILE)
             end = min(last + 1, (tile + 1) * ROWS_OF_A_TILE)
-            content = self._read(level, tile, begin, end)
-            for number in range(begin, end):
-                slot = content[(number - begin) * self._slot_bytes :][: self._slot_bytes]
+            content = self._read(level, tile, start, end)
+            for number in range(start, end):
+                slot = content[(number - start) * self._slot_bytes :][: self._slot_bytes]
                 row = self._row(slot)
                 if row is not None and row.first_set // FACTOR**level == number:
                     yield number, row
 
     def row(self, level: int, number: int) -> TileRow | None:
-        """Read one row; None: there is none that is sound."""
+        """Read one row; None if there is no sound one."""
         return next((row for _, row in self.rows(level, number, number)), None)
 
-    def is_kept(self, set_index: int) -> bool:
-        """Whether a set has its row, and each row above counts what the four below have."""
+    def has_set(self, set_index: int) -> bool:
+        """Return whether a set has its row, and all coarser rows count the sets of their four finer ones."""
         row = self.row(0, set_index)
         for level in range(1, LEVELS):
             if row is None:
                 return False
             number = set_index // FACTOR**level
-            below = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
-            n_below = sum(one.n_sets for _, one in below)
+            rows_below = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
+            n_below = sum(finer.n_sets for _, finer in rows_below)
             row = self.row(level, number)
             if row is not None and row.n_sets != n_below:
                 return False
         return row is not None
 
-    def keep(self, row: TileRow) -> None:
-        """Write the row of a set, and those above it anew from the four below each.
+    def write_row(self, row: TileRow) -> None:
+        """Write the row of a set and update the coarser rows above it.
 
         Raises
         ------
         OSError
-            The disk refuses; what was written is sound, and what is incomplete tells by its count.
+            The disk refuses; written rows are sound, and the number of sets shows incomplete ones.
         """
         for level in range(LEVELS):
             number = row.first_set // FACTOR**level
             self._write(level, number, row)
             first = number - number % FACTOR
-            below = dict(self.rows(level, first, first + FACTOR - 1)) | {number: row}
-            row = joined([below[index] for index in sorted(below)])
+            finer_rows = dict(self.rows(level, first, first + FACTOR - 1)) | {number: row}
+            row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
 
     # Files ----------------------------------------------------------------------------------------
 
     @property
     def _slot_bytes(self) -> int:
+        """Size of a row's slot in bytes."""
         return slot_bytes(self.frame.n_cells)
 
     def _path(self, level: int, tile: int) -> Path:
-        return self.folder / TILES_FOLDER / self.position / self.alignment / _name(level, tile)
+        """Return the path of a tile."""
+        return self.folder / TILES_FOLDER / self.position / self.alignment / _tile_name(level, tile)
 
-    def _read(self, level: int, tile: int, begin: int, end: int) -> memoryview:
-        """Bytes of slots, as many as there are; none of a tile that is not one of these."""
+    def _read(self, level: int, tile: int, start: int, end: int) -> memoryview:
+        """Return the bytes of slots, as many as exist; none of an invalid tile."""
         path = self._path(level, tile)
         try:
             with path.open("rb") as file:
                 if file.read(_HEADER_BYTES) != _header(self):
                     return memoryview(b"")
-                file.seek(self._offset(begin))
-                return memoryview(file.read((end - begin) * self._slot_bytes))
+                file.seek(self._offset(start))
+                return memoryview(file.read((end - start) * self._slot_bytes))
         except FileNotFoundError:
             return memoryview(b"")
-        except OSError as error:  # a hint: whoever draws goes on without it
+        except OSError as error:  # a cache: readers work without it
             log.debug("%s cannot be read now: %s", path, error)
             return memoryview(b"")
 
     def _offset(self, number: int) -> int:
+        """Return the position of a row's slot in its tile."""
         return _HEADER_BYTES + number % ROWS_OF_A_TILE * self._slot_bytes
 
     def _row(self, slot: memoryview) -> TileRow | None:
+        """Decode the row of a slot; None if it is not sound."""
         if len(slot) < self._slot_bytes:
             return None
         crc32, _, n_sets, first_set, last_set, first_h, last_h = _FACTS.unpack_from(slot)
@@ -174,6 +177,7 @@ class Tiles:
         )
 
     def _write(self, level: int, number: int, row: TileRow) -> None:
+        """Write the row of a slot, with a new tile if necessary."""
         facts = (0, 0, row.n_sets, row.first_set, row.last_set, row.first_h, row.last_h)
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
@@ -182,7 +186,7 @@ class Tiles:
             path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("r+b" if path.exists() else "x+b") as file:
             if file.read(_HEADER_BYTES) != _header(self):
-                # New, torn, or of something else: nothing of it is ours.
+                # New, truncated, or not a tile of this test: start again.
                 file.truncate(0)
                 file.seek(0)
                 file.write(_header(self))
@@ -190,45 +194,47 @@ class Tiles:
             file.write(slot)
 
 
-def _name(level: int, tile: int) -> str:
+def _tile_name(level: int, tile: int) -> str:
+    """Return the file name of a tile."""
     return f"{FACTOR**level:04d}-{tile:06d}.tile"
 
 
 @lru_cache(maxsize=64)
 def _header(tiles: Tiles) -> bytes:
-    told = {
+    """Return the header of a position's tiles."""
+    metadata = {
         "solimon_tiles": FORMAT,
         "experiment": tiles.experiment,
         "position": tiles.position,
         "alignment": tiles.alignment,
         **asdict(tiles.frame),
     }
-    return json.dumps(told, separators=(",", ":")).encode().ljust(_HEADER_BYTES)
+    return json.dumps(metadata, separators=(",", ":")).encode().ljust(_HEADER_BYTES)
 
 
 def slot_bytes(n_cells: int) -> int:
-    """Bytes of a row."""
+    """Return the size of a row in bytes."""
     return _FACTS.size + 2 * 4 * n_cells
 
 
 def planned_bytes(n_cells: int, n_sets: int) -> int:
-    """Bytes of the tiles of a position at one alignment after so many sets."""
+    """Return the size in bytes of the tiles of a position at one alignment after so many sets."""
     rows = [math.ceil(n_sets / FACTOR**level) for level in range(LEVELS)]
     return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * slot_bytes(n_cells) for n in rows)
 
 
 def kept_cells(folder: Path) -> list[int]:
-    """Cells of a row of each position and alignment that has tiles; what cannot be read is left out."""
-    found = []
-    for path in (folder / TILES_FOLDER).glob(f"*/*/{_name(0, 0)}"):
+    """Return the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
+    n_cells = []
+    for path in (folder / TILES_FOLDER).glob(f"*/*/{_tile_name(0, 0)}"):
         try:
             with path.open("rb") as file:
-                found.append(int(json.loads(file.read(_HEADER_BYTES))["n_cells"]))
-        except (OSError, ValueError, LookupError) as error:  # a hint: whoever draws goes on without it
+                n_cells.append(int(json.loads(file.read(_HEADER_BYTES))["n_cells"]))
+        except (OSError, ValueError, LookupError) as error:  # a cache: readers work without it
             log.debug("%s cannot be read now: %s", path, error)
-    return found
+    return n_cells
 
 
 def n_bytes(folder: Path) -> int:
-    """Bytes of all tiles of a data folder."""
+    """Return the size of all tiles of a data folder in bytes."""
     return sum(path.stat().st_size for path in (folder / TILES_FOLDER).rglob("*.tile"))

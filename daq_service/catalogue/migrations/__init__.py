@@ -25,7 +25,7 @@ _VERSION_TABLE = (
 
 
 def known_revisions() -> list[str]:
-    """Every revision from the first one on, oldest first."""
+    """Return every revision from the first one on, oldest first."""
     return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 
 

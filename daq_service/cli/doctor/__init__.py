@@ -1,5 +1,5 @@
-"""``solimon doctor``: is everything ready for a test, and if not, what is to be done.
+"""``solimon doctor``: check whether everything is ready for a test, and list remedies.
 
-Each check looks and tells; nothing is switched, struck or written but a probe file in the data folder.
-`trial` alone strikes, and only when a person asks for it.
+Checks switch, strike and write nothing except a probe file in the data folder. Only `trial` strikes, and
+only when a person asks for it.
 """

@@ -1,4 +1,4 @@
-"""What one check says: how it stands, what was found, what to do."""
+"""Result of a check: state, finding, remedy."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ HELD = "end the program that holds it, or wait until that ends; nothing of it wa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes
     ----------
     name
-        What was looked at: ``transducer B: trigger``.
+         Subject of the check: ``transducer B: trigger``.
     found
-        In words, with units.
+         Finding in words, with units.
     remedy
-        What to do; every check that is not ``ok`` has one, and what is ``ok`` keeps none.
+        What to do; only a check that is ``ok`` has none.
     values
         The same for programs, SI units in the names.
     """
@@ -61,13 +61,13 @@ class Check:
 
 
 def exit_code(checks: Sequence[Check]) -> int:
-    """Exit code of a checkup: 0 where nothing failed."""
+    """Return the exit code of a list of checks: 0 if none failed."""
     failed = {check.area for check in checks if check.state == "fail"}
     return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
 def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
-    """Check of an instrument that ended in an error; messages of this project end in their remedy.
+    """Return the failed check for an instrument's error, whose message may contain the remedy.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
         Remedy where the message has none.
     """
     if isinstance(error, BusyError):
-        # Whoever holds an instrument stands where a recorder does.
+        # A program that holds an instrument counts like a recorder.
         return Check(area="recorder", name=name, state="fail", found=str(error), remedy=HELD)
     problem, _, remedy = str(error).rpartition("; ")
     if not problem:
@@ -83,17 +83,17 @@ def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
     return Check(area="rig", name=name, state="fail", found=problem, remedy=remedy)
 
 
-def told(finding: Finding, of: str = "") -> Check:
-    """Give the check that an instrument's finding is.
+def check_of_finding(finding: Finding, instrument: str = "") -> Check:
+    """Return the check for an instrument's finding.
 
     Parameters
     ----------
     of
-        Name of the instrument, where there are several.
+         Name of the instrument if there are multiple.
     """
-    name = ": ".join(filter(None, (of, finding.subject, finding.check)))
+    name = ": ".join(filter(None, (instrument, finding.subject, finding.check)))
     if finding.held:
-        # Whoever holds an instrument stands where a recorder does.
+        # A program that holds an instrument counts like a recorder.
         return Check(area="recorder", name=name, state="fail", found=finding.detail, remedy=HELD)
     return Check(
         area="rig",
@@ -106,5 +106,5 @@ def told(finding: Finding, of: str = "") -> Check:
 
 
 def stamp_now() -> Stamp:
-    """Time on this computer's own clocks."""
+    """Return the time of this computer's own clocks."""
     return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=boot_id())

@@ -1,4 +1,4 @@
-"""``solimon doctor``: run the checks, print them, end with the exit code that fits."""
+"""``solimon doctor``: run the checks, print them, return the exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from daq_service.cli.doctor.check import Check, exit_code, failure, told
+from daq_service.cli.doctor.check import Check, check_of_finding, exit_code, failure
 from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
@@ -30,11 +30,11 @@ from hardware_drivers.errors import InstrumentError
 Progress = Callable[[str], None]
 
 KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "climate probe"}
-"""What people call the instruments of a rig that has a table for each."""
+"""Display names of instruments with a table of their own."""
 
 
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
-    """Carry out the command; the exit code."""
+    """Run the command and return its exit code."""
     settings = load_settings(config)
     folder = data_folder(settings, config, data_dir)
     if strike is not None:
@@ -64,17 +64,18 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
 
 
 def _refuse_while_owned(owner: str) -> None:
+    """Raise an error if a recorder owns the folder."""
     if owner:
         raise BusyError(f"--strike is refused: {owner}")
 
 
 def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
-    """Yield every check but the test strike.
+    """Yield all checks except the test strike.
 
     Parameters
     ----------
     owner
-        Recorder that owns the folder, in words; its instruments are left alone. Empty: none.
+        Description of the recorder that owns the folder; its instruments are not checked. Empty: none.
     """
     started_wall_s, started_mono_s = time.time(), time.monotonic()
     progress("packages")
@@ -86,7 +87,7 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     yield _recorder(owner)
     yield from storage_checks(settings, folder)
     if owner:
-        yield from _left_alone(instruments)
+        yield from _skipped_instruments(instruments)
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from rig_checks(
@@ -106,12 +107,12 @@ def rig_checks(
     *,
     driven: bool = False,
 ) -> Iterator[Check]:
-    """Yield the checks of the instruments; nothing strikes, nothing is switched.
+    """Yield the checks of the instruments; nothing strikes or switches.
 
     Parameters
     ----------
     missing
-        Packages that are not there or too old: what needs them is skipped.
+         Missing or outdated packages: instruments that need them are skipped.
     driven
         A process of the drive owns the supply's port.
     """
@@ -124,24 +125,27 @@ def rig_checks(
             yield _skipped(name, "its own process has the port", "see `solimon status`")
         else:
             progress(f"{name}; nothing strikes, nothing is switched")
-            of = item.name if settings.rig.kind == "mixed" else ""
+            instrument = item.name if settings.rig.kind == "mixed" else ""
             try:
                 for finding in item.kind.check(item.parameters, opening_of(item, settings, clock)):
-                    yield told(finding, of)
+                    yield check_of_finding(finding, instrument)
             except InstrumentError as error:
                 yield failure(name, error, "see what its maker says of it")
 
 
-def _needs_package(what: str) -> Check:
+def _needs_package(name: str) -> Check:
+    """Return the skipped check of an instrument whose package is missing."""
     found = "not looked at: a package they need is missing"
-    return _skipped(what, found, "install what failed above, then look again")
+    return _skipped(name, found, "install what failed above, then look again")
 
 
 def _skipped(name: str, found: str, remedy: str) -> Check:
+    """Return a skipped check."""
     return Check(area="rig", name=name, state="skipped", found=found, remedy=remedy)
 
 
 def _recorder(owner: str) -> Check:
+    """Return the check for a recorder that owns the folder."""
     name = "recorder"
     if not owner:
         return Check(area="recorder", name=name, found="no recorder owns the data folder")
@@ -149,8 +153,8 @@ def _recorder(owner: str) -> Check:
     return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
 
 
-def _left_alone(instruments: Sequence[Instrument]) -> Iterator[Check]:
-    """Skip what the running recorder uses: a look would reserve boards and ports it needs to strike."""
+def _skipped_instruments(instruments: Sequence[Instrument]) -> Iterator[Check]:
+    """Yield skipped checks for the instruments of a running recorder, which needs them to strike."""
     for item in instruments:
         name = KNOWN_AS.get(item.name, item.name)
         remedy = "stop the recorder first, or read `solimon status`"
@@ -161,10 +165,12 @@ def _left_alone(instruments: Sequence[Instrument]) -> Iterator[Check]:
 
 
 def _progress(text: str) -> None:
+    """Print the current step."""
     click.echo(f"looking at: {text}", err=True)
 
 
 def _print_table(checks: list[Check], trial: Trial | None) -> None:
+    """Print checks, features of the strike, and totals."""
     width = max(len(check.name) for check in checks)
     for check in checks:
         state = check.state.upper() if check.state in ("warn", "fail") else check.state
@@ -173,8 +179,8 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
             click.echo(f"{'':<8} {'':<{width}}  -> {check.remedy}")
     if trial is not None and trial.features is not None:
         for name, value in trial.as_row()["features"].items():
-            shown = f"{value:.6g}" if isinstance(value, float) else value
-            click.echo(f"{'':<8} {name:<{width}}  {shown}")
+            text = f"{value:.6g}" if isinstance(value, float) else value
+            click.echo(f"{'':<8} {name:<{width}}  {text}")
     counts = Counter(check.state for check in checks)
     click.echo(", ".join(f"{counts[state]} {state}" for state in ("fail", "warn", "ok", "skipped")))
 
@@ -182,6 +188,7 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
 ) -> dict[str, Any]:
+    """Return the results for JSON."""
     return {
         "configuration_hash": settings.configuration_hash(),
         "rig": settings.rig.kind,
@@ -193,7 +200,7 @@ def _report(
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN: what is not available is null."""
+    """Replace NaN and infinities by None for JSON."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The computer: its clocks, and what may end a test while nobody looks."""
+"""Check the computer: clocks, and settings that may interrupt an unattended test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq_service.cli.doctor.check import Check
 from daq_service.cli.doctor.unattended import Ask, ask_system, unattended_checks
 
 LARGEST_STEP_S = 0.1
-"""Wall and monotonic clock may part by this much during a checkup: more is a clock that is being set."""
+"""Maximum drift between wall and monotonic clock during the checks; more means the clock is being set."""
 
 
 def machine_checks(
@@ -24,7 +24,7 @@ def machine_checks(
     started_wall_s: float | None = None,
     started_mono_s: float | None = None,
 ) -> list[Check]:
-    """Look at clocks, sleep, updates and scanners.
+    """Check clocks, sleep, updates and scanners.
 
     Parameters
     ----------
@@ -53,28 +53,30 @@ def machine_checks(
 
 
 def _monotonic(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
+    """Check the monotonic clock and its drift against the wall clock."""
     info = time.get_clock_info("monotonic")
-    parted_s = wall_elapsed_s - mono_elapsed_s
+    drift_s = wall_elapsed_s - mono_elapsed_s
     steady = info.monotonic and mono_elapsed_s >= 0.0
-    kept = abs(parted_s) <= LARGEST_STEP_S
+    within_limit = abs(drift_s) <= LARGEST_STEP_S
     return Check(
         area="machine",
         name="monotonic clock",
-        state="fail" if not steady else "ok" if kept else "warn",
+        state="fail" if not steady else "ok" if within_limit else "warn",
         found=f"{info.implementation}, resolution {info.resolution:.0e} s; the wall clock moved away by "
-        f"{parted_s * 1e3:.0f} ms in the {mono_elapsed_s:.1f} s of this checkup",
+        f"{drift_s * 1e3:.0f} ms in the {mono_elapsed_s:.1f} s of this checkup",
         remedy="let the clock be synchronised and settle, then look again"
         if steady
         else "use another computer: its monotonic clock goes backwards",
         values={
             "resolution_s": info.resolution,
             "checkup_s": mono_elapsed_s,
-            "wall_against_monotonic_s": parted_s,
+            "wall_against_monotonic_s": drift_s,
         },
     )
 
 
 def _time_zone() -> Check:
+    """Return the time zone as a check."""
     now = datetime.now().astimezone()
     offset = now.utcoffset()
     offset_s = 0.0 if offset is None else offset.total_seconds()
@@ -90,8 +92,9 @@ def _time_zone() -> Check:
 
 
 def _synchronised(ask: Ask, system: str) -> Check:
-    how, answer = _clock_source(ask, system)
-    known = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
+    """Check whether the clock is synchronized to UTC."""
+    source, answer = _clock_source(ask, system)
+    texts = {True: "synchronised", False: "not synchronised", None: "unknown whether it is synchronised"}
     command = {
         "win32": "w32tm /resync, and keep the service W32Time running",
         "darwin": "switch on Set time automatically in Date & Time",
@@ -100,14 +103,14 @@ def _synchronised(ask: Ask, system: str) -> Check:
         area="machine",
         name="clock synchronised",
         state="ok" if answer else "warn",
-        found=f"{known[answer]} ({how})",
+        found=f"{texts[answer]} ({source})",
         remedy=command,
-        values={"synchronised": answer, "asked": how},
+        values={"synchronised": answer, "asked": source},
     )
 
 
 def _clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
-    """How it was found, and whether the clock is synchronised; None: unknown."""
+    """Return the source of the answer, and whether the clock is synchronized; None: unknown."""
     if system == "win32":
         # The words are the system's language, the leap indicator's digit is not: 3 is not synchronised.
         text = ask(["w32tm", "/query", "/status"]) or ""

@@ -1,4 +1,4 @@
-"""Python, and the packages that this configuration needs."""
+"""Check Python and the packages that this configuration needs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def software_checks(
     installed: Callable[[str], str] = version,
     load: Callable[[str], object] = importlib.import_module,
 ) -> list[Check]:
-    """Versions beside the oldest ones that solimon accepts.
+    """Compare the installed versions with the minimum ones.
 
     Parameters
     ----------
@@ -48,6 +48,7 @@ EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "v
 
 
 def _python() -> Check:
+    """Check version and word size of Python."""
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
     return Check(
@@ -62,8 +63,9 @@ def _python() -> Check:
 
 def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
     # What a kind of another package needs comes with nothing of ours.
-    wanted = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
-    remedy = f'install it: python -m pip install "{wanted}"'
+    """Check the version of a package."""
+    requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
+    remedy = f'install it: python -m pip install "{requirement}"'
     try:
         found = installed(name)
     except PackageNotFoundError:
@@ -80,6 +82,7 @@ def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
 
 
 def _binaries(load: Callable[[str], object]) -> Check:
+    """Check that the compiled packages load."""
     broken = {}
     for name in COMPILED:
         try:
@@ -97,11 +100,12 @@ def _binaries(load: Callable[[str], object]) -> Check:
 
 
 def _oldest_versions(requirements: Iterable[str]) -> dict[str, str]:
+    """Return the minimum versions of the requirements."""
     found = (_MINIMUM.match(requirement) for requirement in requirements)
     return {match[1]: match[2] for match in found if match}
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """Leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4)."""
+    """Return the leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4)."""
     match = re.match(r"\d+(?:\.\d+)*", text)
     return tuple(int(part) for part in match[0].split(".")) if match else ()

@@ -1,4 +1,4 @@
-"""What a coil couples into its sensor: one strike without a trigger, and the holdoff that it asks for."""
+"""Measure what a coil couples into its sensor, and propose a holdoff, from one strike without a trigger."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ HARDWARE_CURE = (
 
 
 def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
-    """Strike once and look at the whole of it.
+    """Strike once and analyze the complete record.
 
     Raises
     ------
     InstrumentError
         As for a shot; also where the coil's counter cannot start the acquisition.
     AnalysisError
-        The record cannot be judged.
+         The record cannot be analyzed.
     """
     from hardware_drivers.daqmx.pulse_record import record_pulse
 
@@ -43,40 +43,42 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
 def spike_check(
     parameters: DaqmxParameters, position: str, timeout_s: float
 ) -> tuple[Check, SpikeSurvey | None]:
-    """Survey the coil of a transducer; an error is a check that failed."""
+    """Survey the coil of a transducer; an error gives a failed check."""
     name = f"strike {position}: coil's spike"
     try:
         survey = survey_coil(parameters, position, timeout_s)
     except InstrumentError as error:
-        told = failure(name, error, "mend what failed above, then strike")
+        check = failure(name, error, "mend what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
-            told = Check(area="rig", name=name, state="warn", found=told.found, remedy=told.remedy)
-        return told, None
+            check = Check(area="rig", name=name, state="warn", found=check.found, remedy=check.remedy)
+        return check, None
     except AnalysisError as error:
         found = f"the record of a whole strike cannot be judged: {error}"
         return Check(area="rig", name=name, state="warn", found=found, remedy="see the log"), None
-    return _judged(name, parameters, survey), survey
+    return _check_of_survey(name, parameters, survey), survey
 
 
-def _judged(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
+def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
+    """Return the check for a survey of the coil."""
     holdoff_s, off = parameters.holdoff_s, survey.off
     remedy = _remedy(parameters, survey)
     armed_over = survey.takes_the_trigger if holdoff_s is None else holdoff_s <= off.ringing_s
     too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
-    lost = armed_over or too_late
-    wave = (
+    is_lost = armed_over or too_late
+    wave_text = (
         f"the wave came {_time(survey.wave_after_s)} after off with {survey.wave_v:.3g} V"
         if survey.wave_after_s is not None
         else "no wave stands out"
     )
-    held = "no holdoff" if holdoff_s is None else f"held off for {_time(holdoff_s)}"
+    holdoff_text = "no holdoff" if holdoff_s is None else f"held off for {_time(holdoff_s)}"
     return Check(
         area="rig",
         name=name,
-        state="fail" if lost else "warn" if survey.obstacle else "ok",
-        found=f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave} "
-        f"(expected {_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {held}",
+        state="fail" if is_lost else "warn" if survey.obstacle else "ok",
+        found=f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave_text} "
+        f"(expected {_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, "
+        f"{holdoff_text}",
         remedy=remedy,
         values={
             "on_height_v": survey.on.height_v,
@@ -96,11 +98,12 @@ def _judged(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Chec
 
 
 def proposed_ringing_s(survey: SpikeSurvey) -> float:
-    """Ringing as a file says it: rounded up to 0.1 ms."""
+    """Return the ringing in s, rounded up to 0.1 ms, for a configuration."""
     return math.ceil(survey.off.ringing_s * 1e4) / 1e4
 
 
 def _remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
+    """Return the remedy for the obstacle of a survey, or the proposed settings."""
     if survey.obstacle == "ringing":
         return (
             f"it rings for {_time(survey.off.ringing_s)} and a holdoff ends {_time(survey.latest_holdoff_s)} "
@@ -120,7 +123,7 @@ def _remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
 
 
 def edge_in_words(edge: EdgeSpike) -> str:
-    """Say what follows an edge of the coil's pulse."""
+    """Describe what follows an edge of the coil's pulse."""
     if not edge.height_v:
         return "no spike"
     flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""
@@ -130,4 +133,5 @@ def edge_in_words(edge: EdgeSpike) -> str:
 
 
 def _time(time_s: float) -> str:
+    """Format a time with its unit."""
     return f"{time_s * 1e6:.3g} us" if 0.0 < time_s < 1e-3 else f"{time_s * 1e3:.3g} ms"

@@ -1,4 +1,4 @@
-"""The data folder: who owns it, where it is, whether it can be written and is large enough."""
+"""Check the data folder: owner, file system, write access, free space."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
 
 SLOW_WRITE_S = 1.0
-"""A small file that takes longer to become durable means a disk that will hold sets up."""
+"""If a small file takes longer to become durable, the disk will delay sets."""
 LOOK_S = 0.5
-"""How long the lock of a recorder is tried: a person who is refused wrongly asks again."""
+"""Timeout for the recorder's lock; after a wrong refusal a person can try again."""
 COMFORTABLE = 2.0
-"""Free space over planned data: less is worth a word."""
+"""Ratio of free space to planned data below which the check warns."""
 
 
 @contextmanager
@@ -42,8 +42,8 @@ def held_folder(folder: Path) -> Iterator[str]:
     Yields
     ------
     str
-        Who holds it instead; empty: nobody. A folder without a lock file has never had a recorder,
-        and none is made here.
+         Present owner; empty: none. A folder without a lock file has never had a recorder, and no lock file
+        is created.
     """
     with ExitStack() as stack:
         owner = ""
@@ -61,19 +61,19 @@ def held_folder(folder: Path) -> Iterator[str]:
 
 
 def owner_of(folder: Path) -> str:
-    """Who holds the recorder's lock, without keeping it.
+    """Return the owner of the recorder's lock without keeping it.
 
-    A recorder that is started again just now must not find it taken: its supervisor would end the test.
-    Boards that are being looked at it waits for.
+     The lock is released at once: a recorder that restarts now would find it taken, and its supervisor would
+    end the test. A recorder waits for boards that are being checked.
     """
     with held_folder(folder) as owner:
         return owner
 
 
 def storage_checks(settings: Settings, folder: Path) -> list[Check]:
-    """Look at the folder; a probe file is written and removed, nothing else is made."""
+    """Check the folder; only a probe file is written and removed."""
     return [
-        _place(folder),
+        _file_system(folder),
         _writable(folder),
         _owner(settings, folder),
         *_catalogue(folder),
@@ -83,11 +83,12 @@ def storage_checks(settings: Settings, folder: Path) -> list[Check]:
 
 
 def _existing(folder: Path) -> Path:
-    """Return the folder, or the nearest one above it that exists."""
-    return next(place for place in (folder, *folder.parents) if place.exists())
+    """Return the folder, or its nearest parent that exists."""
+    return next(path for path in (folder, *folder.parents) if path.exists())
 
 
-def _place(folder: Path) -> Check:
+def _file_system(folder: Path) -> Check:
+    """Check that the folder is on a local file system."""
     kind = network_filesystem(folder)
     found, remedy = "on a local file system", ""
     if kind is not None:
@@ -105,16 +106,16 @@ def _place(folder: Path) -> Check:
 
 
 def _writable(folder: Path) -> Check:
-    """Write, flush to the disk, remove: what each set does."""
-    name, place = "data folder: writable", _existing(folder)
-    if not place.is_dir():
-        return _cannot(name, f"{place} is a file", "choose another folder with --data-dir")
-    if place == folder:
+    """Check that a file can be written, synced and removed, as each set needs."""
+    name, existing = "data folder: writable", _existing(folder)
+    if not existing.is_dir():
+        return _failed(name, f"{existing} is a file", "choose another folder with --data-dir")
+    if existing == folder:
         names = {path.name for path in folder.iterdir()}
         if names and not names & OWN_NAMES:
             found = f"{folder} is not empty and no data folder of solimon (it holds {min(names)!r})"
-            return _cannot(name, found, "choose a new or empty folder with --data-dir")
-    probe = place / f".write-test-{uuid.uuid4().hex}"
+            return _failed(name, found, "choose a new or empty folder with --data-dir")
+    probe = existing / f".write-test-{uuid.uuid4().hex}"
     started_s = time.monotonic()
     try:
         with probe.open("xb") as file:
@@ -123,34 +124,36 @@ def _writable(folder: Path) -> Check:
             os.fsync(file.fileno())
         patiently(probe.unlink)
     except OSError as error:
-        found = f"{place} cannot be written: {error.strerror}"
-        return _cannot(name, found, "correct its permissions or choose another folder with --data-dir")
+        found = f"{existing} cannot be written: {error.strerror}"
+        return _failed(name, found, "correct its permissions or choose another folder with --data-dir")
     took_s = time.monotonic() - started_s
     return Check(
         area="folder",
         name=name,
         state="ok" if took_s <= SLOW_WRITE_S else "warn",
-        found=f"{folder}{'' if place == folder else ' (to be made)'}; a small file is durable after "
+        found=f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
         f"{took_s * 1e3:.0f} ms",
         remedy="use a faster disk, or find what keeps it busy",
-        values={"exists": place == folder, "durable_write_s": took_s},
+        values={"exists": existing == folder, "durable_write_s": took_s},
     )
 
 
-def _cannot(name: str, found: str, remedy: str) -> Check:
+def _failed(name: str, found: str, remedy: str) -> Check:
+    """Return a failed check of the folder."""
     return Check(area="folder", name=name, state="fail", found=found, remedy=remedy)
 
 
 def _owner(settings: Settings, folder: Path) -> Check:
+    """Check that the folder belongs to this configuration."""
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
-        if lost_catalogue(folder):  # then the sets say whose they are
-            kept = kept_experiment(folder, history_of(folder), FolderSetReader(folder))
-            if kept is not None:
-                refuse_other_experiment(kept, folder, settings)
+        if lost_catalogue(folder):  # then the sets identify the test
+            experiment = kept_experiment(folder, history_of(folder), FolderSetReader(folder))
+            if experiment is not None:
+                refuse_other_experiment(experiment, folder, settings)
     except StorageError as error:
-        return _cannot(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
+        return _failed(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
     return Check(
         area="folder",
         name=name,
@@ -160,37 +163,37 @@ def _owner(settings: Settings, folder: Path) -> Check:
 
 
 def _catalogue(folder: Path) -> list[Check]:
-    """Look whether a begun test still has its catalogue; an unreadable one `_owner` tells of."""
+    """Check that a started test has its catalogue; `_owner` reports an unreadable one."""
     try:
-        told = lost_reason(folder)
+        reason = lost_reason(folder)
     except StorageError:
         return []
     remedy = "look with solimon verify first; a backup of the folder has the catalogue, too"
-    return [_cannot("data folder: catalogue", told, remedy)] if told else []
+    return [_failed("data folder: catalogue", reason, remedy)] if reason else []
 
 
 def _stored(folder: Path) -> list[Check]:
-    """Look whether every set that has rows is there; what is in them only `solimon verify` reads."""
+    """Check that every set with rows exists; only `solimon verify` reads their contents."""
     name = "data folder: sets"
     try:
         with open_catalogue(folder) as catalogue:
             lost = lost_sets(folder, catalogue)
     except (NoDataYetError, SchemaVersionError):
-        return []  # nothing begun, or an earlier version's: its owner's check says what is wrong
+        return []  # not started, or an earlier version's: `_owner` reports that
     except (StorageError, OSError) as error:
-        return [_cannot(name, str(error), "solimon verify says more")]
+        return [_failed(name, str(error), "solimon verify says more")]
     if not lost:
         return [
             Check(area="folder", name=name, found="every set that has rows is there", values={"lost_sets": 0})
         ]
-    told = "; ".join(f"{file} {how}" for file, how in list(lost.items())[:SHOWN])
-    more = f"; and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+    sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:SHOWN])
+    rest = f"; and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
     return [
         Check(
             area="folder",
             name=name,
             state="fail",
-            found=f"{told}{more}",
+            found=f"{sentences}{rest}",
             remedy="bring them back with solimon repair --from BACKUP; solimon verify looks at everything",
             values={"lost_sets": len(lost)},
         )
@@ -198,6 +201,7 @@ def _stored(folder: Path) -> list[Check]:
 
 
 def _space(settings: Settings, folder: Path) -> Check:
+    """Compare the free space with the data still to come."""
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()
     needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])

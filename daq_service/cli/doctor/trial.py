@@ -1,4 +1,4 @@
-"""Test strikes: on boards one without a trigger, then one as every shot is: arm, strike, read, make safe."""
+"""Test strikes: on boards one without a trigger, then a normal shot: arm, strike, read, make safe."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ REMEDIES: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What a test strike gave.
+    """Result of a test strike.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Trial:
     record
         None where there is none.
     settings
-        What the instrument says of the record.
+         Instrument settings of the record.
     spike
-        What a strike without a trigger showed; None where it was not taken.
+         Survey of a strike without a trigger; None if not taken.
     """
 
     position: str
@@ -65,22 +65,23 @@ class Trial:
     spike: SpikeSurvey | None = None
 
     def as_row(self) -> dict[str, Any]:
-        """Everything, for programs."""
-        told = self.features
+        """Return the result for JSON."""
+        features = self.features
         return {
             "position": self.position,
-            "features": None if told is None else _without_outline(told),
+            "features": None if features is None else _without_outline(features),
             "settings": dict(self.settings),
             "spike": None if self.spike is None else asdict(self.spike),
         }
 
 
 def _without_outline(shot: ShotFeatures) -> dict[str, Any]:
+    """Return the features without the outline of the record."""
     return {name: value for name, value in asdict(shot).items() if name != "outline"}
 
 
 def require_position(settings: Settings, position: str) -> None:
-    """Refuse what cannot be struck.
+    """Raise an error for a position that cannot be struck.
 
     Raises
     ------
@@ -103,28 +104,34 @@ def require_position(settings: Settings, position: str) -> None:
         )
 
 
-def _tell(text: str) -> None:
+def _print_request(text: str) -> None:
+    """Print a request to the person at the rig."""
     click.echo(text, err=True)
 
 
-def strike_transducer(settings: Settings, position: str, *, tell: Callable[[str], None] = _tell) -> Trial:
-    """Strike one transducer, on boards once more to see its coil; an instrument's error is a failed check.
+def strike_transducer(
+    settings: Settings, position: str, *, report: Callable[[str], None] = _print_request
+) -> Trial:
+    """Strike one transducer, and first survey its coil on boards; an error gives a failed check.
 
     Parameters
     ----------
-    tell
-        Tells whoever stands at the rig what to do, where a person is the striker.
+    report
+        Shows the person at the rig what to do, if a person is the striker.
     """
     settings = _this_transducer_only(settings, position)
     boards = settings.rig.daqmx
     if settings.rig.kind != "daqmx" or boards is None:
-        return _shot(settings, position, None, tell)
-    look, spike = spike_check(boards, position, settings.rig.read_timeout_s)
-    trial = _shot(settings, position, spike, tell)
-    return replace(trial, checks=(look, *trial.checks), spike=spike)
+        return _shot(settings, position, None, report)
+    survey_check, spike = spike_check(boards, position, settings.rig.read_timeout_s)
+    trial = _shot(settings, position, spike, report)
+    return replace(trial, checks=(survey_check, *trial.checks), spike=spike)
 
 
-def _shot(settings: Settings, position: str, spike: SpikeSurvey | None, tell: Callable[[str], None]) -> Trial:
+def _shot(
+    settings: Settings, position: str, spike: SpikeSurvey | None, report: Callable[[str], None]
+) -> Trial:
+    """Take one shot and return its checks and features."""
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
@@ -136,14 +143,14 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None, tell: Ca
     started_s = time.monotonic()
     try:
         with open_rig(settings, clock, clock.utc_ns()) as rig:
-            # An empty text takes it back, and the check that follows says more.
-            rig.asking.listen(lambda text, key: tell(text) if text else None)
-            taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
+            # An empty text withdraws the request; the following check contains more.
+            rig.asking.listen(lambda text, key: report(text) if text else None)
+            measurements = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
     except InstrumentError as error:
-        refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
-        return Trial(position=position, checks=(refused,))
+        failed_check = failure(f"strike {position}: record", error, "mend what failed above, then strike")
+        return Trial(position=position, checks=(failed_check,))
     took_s = time.monotonic() - started_s
-    (measurement,) = taken
+    (measurement,) = measurements
     if isinstance(measurement, MissedShot):
         return Trial(position=position, checks=(_missed(measurement),))
     assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
@@ -158,24 +165,26 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None, tell: Ca
 
 
 def _this_transducer_only(settings: Settings, position: str) -> Settings:
-    """Leave out what the strike does not need: another broken instrument must not forbid it."""
+    """Return settings without other instruments, whose faults must not prevent the strike."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
     unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
     rig = settings.rig.model_copy(update={**unneeded, "instruments": needed})
     if rig.daqmx is not None:
         rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
-    places = {position: settings.positions[position]}
-    return settings.model_copy(update={"rig": rig, "positions": places})
+    positions = {position: settings.positions[position]}
+    return settings.model_copy(update={"rig": rig, "positions": positions})
 
 
 def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
+    """Return the boards with one transducer only."""
     wiring = boards.transducers[position]
     watchdog = boards.watchdog_of(wiring.coil_serial)
     return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
 def _missed(missed: MissedShot) -> Check:
+    """Return the check of a strike without a record."""
     return Check(
         area="rig",
         name=f"strike {missed.key.position}: record",
@@ -188,6 +197,7 @@ def _missed(missed: MissedShot) -> Check:
 
 
 def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
+    """Return the check of the record's flags."""
     flags = features.flags
     incident = "no incident wave, "
     if not math.isnan(features.isw_amplitude_v):
@@ -207,7 +217,7 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
 
 
 def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None) -> Check:
-    """Compare the trigger level with the incident wave, of the shot or else of the strike before it."""
+    """Compare the trigger level with the incident wave of the shot, or of the survey before."""
     boards = settings.rig.daqmx
     level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
     if settings.rig.kind == "mixed":

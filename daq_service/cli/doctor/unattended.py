@@ -1,4 +1,4 @@
-"""What may end a test while nobody looks: a computer that sleeps or restarts, a scanner that holds files."""
+"""Check for interruptions of an unattended test: sleep, restarts, scanners that lock files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path, PureWindowsPath
 from daq_service.cli.doctor.check import Check, State
 
 LONGEST_ANSWER_S = 10.0
-"""Programs of the system are asked no longer than this."""
+"""Timeout for programs of the system."""
 
 Ask = Callable[[Sequence[str]], str | None]
 """Runs a program of the system and returns what it printed; None where there is none or it failed."""
@@ -38,24 +38,25 @@ SCANNERS = {
 
 
 def ask_system(command: Sequence[str]) -> str | None:
-    """Run a program without a shell."""
+    """Run a program without a shell and return its output; None if it fails."""
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=LONGEST_ANSWER_S, check=False, errors="replace"
         )
     except (OSError, subprocess.TimeoutExpired):
-        # No such program here, or it does not answer: unknown, and told as that.
+        # No such program here, or it does not answer: the result is unknown.
         return None
     # `systemctl is-enabled` prints "masked" and ends with 1: what was printed counts.
     return done.stdout.strip() or None
 
 
 def unattended_checks(folder: Path, ask: Ask, system: str) -> list[Check]:
-    """Look at sleep, updates and scanners; what a system does not tell is unknown, and warned of."""
+    """Check sleep, updates and scanners; unknown settings give a warning."""
     return [_sleep(ask, system), _updates(ask, system), _antivirus(folder, ask, system)]
 
 
 def _check(name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None) -> Check:
+    """Return a check of the computer."""
     state: State = "ok" if good else "warn"
     return Check(area="machine", name=name, state=state, found=found, remedy=remedy, values=values)
 
@@ -64,28 +65,30 @@ def _check(name: str, good: bool | None, found: str, remedy: str, **values: str 
 
 
 def _sleep(ask: Ask, system: str) -> Check:
+    """Check that the computer never sleeps."""
     idle = None
     if system == "win32":
-        how, never = "powercfg", _windows_never_sleeps(ask)
+        source, never = "powercfg", _windows_never_sleeps(ask)
         command = "powercfg /change standby-timeout-ac 0, and the same with hibernate-timeout-ac"
     elif system == "linux":
         states = [ask(["systemctl", "is-enabled", unit]) for unit in SLEEP_UNITS]
-        how, never = "systemctl", None if None in states else all(state == "masked" for state in states)
+        source, never = "systemctl", None if None in states else all(state == "masked" for state in states)
         idle = (ask(["busctl", "get-property", *IDLE_ACTION]) or "").removeprefix("s ").strip('"') or None
         command = f"sudo systemctl mask {' '.join(SLEEP_UNITS)}"
     else:
-        how, never, command = f"not asked on {system}", None, "caffeinate -s solimon run ..."
-    told = {True: "switched off", False: "not switched off", None: "unknown"}
-    # Where it could sleep: who would let it. A desktop has settings of its own.
+        source, never, command = f"not asked on {system}", None, "caffeinate -s solimon run ..."
+    texts = {True: "switched off", False: "not switched off", None: "unknown"}
+    # If it can sleep: the setting that allows it. A desktop has its own settings.
     action = "" if never or idle is None else f", IdleAction of logind is {idle}"
     found = (
-        f"suspend is {told[never]} ({how}{action}); a sleeping computer strikes nothing, its sets are missed"
+        f"suspend is {texts[never]} ({source}{action}); a sleeping computer strikes nothing, "
+        "its sets are missed"
     )
     return _check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
 
 
 def _windows_never_sleeps(ask: Ask) -> bool | None:
-    """Read both timeouts on mains power: the last but one number of each answer, in any language."""
+    """Read both timeouts on mains power: the second last number of each answer, in any language."""
     timeouts = []
     for kind in ("STANDBYIDLE", "HIBERNATEIDLE"):
         text = ask(["powercfg", "/query", "SCHEME_CURRENT", "SUB_SLEEP", kind]) or ""
@@ -100,24 +103,26 @@ def _windows_never_sleeps(ask: Ask) -> bool | None:
 
 
 def _updates(ask: Ask, system: str) -> Check:
-    waits, restarts, how = None, None, f"not asked on {system}"
+    """Check that updates do not restart the computer."""
+    waits, restarts, source = None, None, f"not asked on {system}"
     remedy = "let updates restart this computer only when a person says so"
     if system == "linux":
-        waits, restarts, how = _linux_updates(ask)
+        waits, restarts, source = _linux_updates(ask)
         remedy = f'set {REBOOT} "false"; in /etc/apt/apt.conf.d, or stop the timers of your updater'
     elif system == "win32":
-        waits, restarts, how = _windows_updates(ask)
+        waits, restarts, source = _windows_updates(ask)
         remedy = "in gpedit.msc set Configure Automatic Updates to 2 (notify), or pause updates for the test"
     if waits:
         remedy = f"restart it before the test begins; then {remedy}"
-    told = {True: "restart", False: "do not restart", None: "may restart (unknown)"}
+    texts = {True: "restart", False: "do not restart", None: "may restart (unknown)"}
     waiting = "; one that is installed waits for a restart" if waits else ""
-    found = f"updates {told[restarts]} this computer by themselves ({how}){waiting}"
+    found = f"updates {texts[restarts]} this computer by themselves ({source}){waiting}"
     good = restarts is False and not waits
     return _check("updates", good, found, remedy, restart_by_themselves=restarts, restart_waits=waits)
 
 
 def _linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+    """Return whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["ls", "/run/reboot-required"]) is not None
     # It prints what is set, and the root of an empty tree else.
     text = ask(["apt-config", "dump"])
@@ -131,6 +136,7 @@ def _linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+    """Return whether a restart is pending, whether updates restart, and the source."""
     waits = ask(["reg", "query", UPDATE_WAITS]) is not None
     text = ask(["reg", "query", UPDATE_POLICY]) or ""
     policy = {name: int(value, 16) for name, value in re.findall(r"(\w+)\s+REG_DWORD\s+(0x\w+)", text)}
@@ -143,25 +149,27 @@ def _windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
 
 
 def _antivirus(folder: Path, ask: Ask, system: str) -> Check:
-    left_alone, told, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
+    """Check that no scanner locks files of the folder."""
+    is_excluded, finding, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
     if system == "linux":
         processes = ask(["ps", "-e", "-o", "comm="])
         running = [name for name in (processes or "").split() if name in SCANNERS]
         if running:
-            told = f"{SCANNERS[running[0]]} ({running[0]}) runs; whether it scans {folder} is unknown"
+            finding = f"{SCANNERS[running[0]]} ({running[0]}) runs; whether it scans {folder} is unknown"
         elif processes is not None:
-            left_alone, told = True, "none that is known runs"
+            is_excluded, finding = True, "none that is known runs"
         else:
-            told = "unknown: no ps here"
+            finding = "unknown: no ps here"
     elif system == "win32":
-        left_alone, told = _defender(folder, ask)
+        is_excluded, finding = _defender(folder, ask)
         remedy = f'as administrator in PowerShell: Add-MpPreference -ExclusionPath "{folder}"'
     return _check(
-        "antivirus", left_alone, f"scanner on access: {told}", remedy, data_folder_left_alone=left_alone
+        "antivirus", is_excluded, f"scanner on access: {finding}", remedy, data_folder_left_alone=is_excluded
     )
 
 
 def _defender(folder: Path, ask: Ask) -> tuple[bool | None, str]:
+    """Return whether Windows Defender excludes the folder, and a description."""
     text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
     if text is None:
         return None, "unknown: Windows Defender does not answer, maybe another one is installed"

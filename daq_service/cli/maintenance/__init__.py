@@ -1,1 +1,1 @@
-"""What keeps a data folder whole: `verify` looks, `repair` mends what needs no guess, `backup` copies."""
+"""Maintain a data folder: `verify` checks, `repair` repairs what is unambiguous, `backup` copies."""

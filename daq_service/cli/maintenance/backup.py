@@ -1,9 +1,9 @@
-"""``backup``: a copy that opens like the folder itself, taken while the test goes on.
+"""``backup``: copy a test, even while it runs, to a folder that opens like the original.
 
-A set moves from the journal to a file of its own, and gets rows before it does. So the catalogue is copied
-first, as it is at one moment, then the journal, then the files: a set that rows point at is in the copy of
-the journal, or it left it before that was copied and then its file was there. The copied catalogue gets its
-name last: until then the destination holds the backup from before, with more files.
+A set gets rows before it moves from the journal to its own file. So the catalogue is copied first, in one
+state, then the journal, then the files: a set with rows is in the copy of the journal, or its file existed
+before the journal was copied. The copied catalogue gets its name last: until then the destination holds the
+previous backup with more files.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from daq_service.archive.records import (
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.verification import CatalogueLook
+from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.verify import NOWHERE, Finding, expected_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
@@ -65,15 +65,15 @@ LEFT_OUT = {
     "tokens.lock",
     WEB_FILE,
 }
-"""Copied in their own way, or signs of a running test, which a copy is not; who may enter, and who is told of
-alarms from when on, is for each copy to say."""
+"""Copied separately, or signs of a running test, which a copy is not; tokens and notifications belong to each
+copy."""
 NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
-"""Columns of the experiment that tell one test from another."""
+"""Columns of the experiment that identify a test."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Copied:
-    """What a backup came to.
+    """Result of a backup.
 
     Attributes
     ----------
@@ -94,37 +94,37 @@ class Copied:
 def back_up(
     folder: Path, destination: Path, progress: Callable[[int, int], None] = lambda done, planned: None
 ) -> Copied:
-    """Copy what is new; every copy is read back and compared.
+    """Copy new data; every copy is read back and compared.
 
     Raises
     ------
     StorageError
         The destination is within the folder, or is no backup of this test; the catalogue is damaged.
     StorageUnavailableError
-        The destination takes no more; what is copied stays, and the next backup goes on from there.
+        The destination cannot be written; copied files stay, and the next backup continues.
     """
     source, target = folder.resolve(), destination.resolve()
     if source == target or source in target.parents or target in source.parents:
         raise StorageError(f"{destination} and {folder} lie within each other; choose another destination")
-    with CatalogueLook(folder) as catalogue:
+    with UnchangedCatalogue(folder) as catalogue:
         copied, snapshot = Copied(), destination / f"{FILE_NAME}{TEMPORARY_SUFFIX}"
         try:
             _claim(destination, catalogue.experiment())
             history = _read_history(folder)
             catalogue.copy_to(snapshot)
             _sync(snapshot)
-            kept = {path.name for path in _copy_journal(folder, destination, copied)}
+            segment_names = {path.name for path in _copy_journal(folder, destination, copied)}
             _copy_sets(folder, destination, catalogue, copied, progress)
             copied.damage += _lost(folder, destination, catalogue, copied)
             _copy_others(folder, destination, copied)
-            for suffix in ("-wal", "-shm"):  # of somebody who wrote to the copy
+            for suffix in ("-wal", "-shm"):  # of a program that wrote to the copy
                 remove_quietly(destination / f"{FILE_NAME}{suffix}")
             patiently(lambda: os.replace(snapshot, destination / FILE_NAME))  # noqa: PTH105 - the seam is os
             sync_folder(destination)
             _write(destination / HISTORY_FILE, history, copied)
             if not copied.damage:  # else an older segment may have what the file has lost
                 for path in segments(destination).values():
-                    if path.name not in kept:
+                    if path.name not in segment_names:
                         remove_quietly(path)
         except OSError as error:
             remove_quietly(snapshot)
@@ -136,22 +136,22 @@ def back_up(
 
 
 def _claim(destination: Path, experiment: dict[str, Any] | None) -> None:
-    """Give a new destination to this test, and refuse another one's."""
+    """Mark a new destination for this test, and reject that of another test."""
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
-    own = {name: experiment[name] for name in NAMED_BY}
+    identity = {name: experiment[name] for name in NAMED_BY}
     destination.mkdir(parents=True, exist_ok=True)
-    mark = destination / BACKUP_FILE
-    if not mark.exists():
-        found_names = {path.name for path in destination.iterdir()} - {f"{mark.name}{TEMPORARY_SUFFIX}"}
+    marker = destination / BACKUP_FILE
+    if not marker.exists():
+        found_names = {path.name for path in destination.iterdir()} - {f"{marker.name}{TEMPORARY_SUFFIX}"}
         if names := sorted(found_names):
             raise StorageError(
                 f"{destination} is not empty and no backup (it holds {names[0]!r}); choose a new folder"
             )
-        content = json.dumps(own, indent=1).encode()
-        write_durably(mark, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
-    found = _object(mark)
-    if found != own:
+        content = json.dumps(identity, indent=1).encode()
+        write_durably(marker, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
+    found = _object(marker)
+    if found != identity:
         raise StorageError(
             f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "
             f"{found.get('configuration_hash')}); choose another folder"
@@ -167,7 +167,7 @@ def _claim(destination: Path, experiment: dict[str, Any] | None) -> None:
 
 
 def _read_history(folder: Path) -> bytes:
-    """Read before the catalogue is copied, and written behind it: the history must not know more."""
+    """Read the history before the catalogue is copied: it must not contain more."""
     try:
         return read_shared(folder / HISTORY_FILE)
     except FileNotFoundError:
@@ -175,6 +175,7 @@ def _read_history(folder: Path) -> bytes:
 
 
 def _object(path: Path) -> dict[str, Any]:
+    """Read a JSON object; empty if invalid."""
     try:
         found = json.loads(read_shared(path))
     except ValueError:
@@ -183,6 +184,7 @@ def _object(path: Path) -> dict[str, Any]:
 
 
 def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
+    """Copy the used part of each segment."""
     for number, content in contents(folder):
         ends = [frame.end for frame in frames(content)]
         # Without the room for what is to come.
@@ -195,10 +197,11 @@ def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[P
 def _copy_sets(
     folder: Path,
     destination: Path,
-    catalogue: CatalogueLook,
+    catalogue: UnchangedCatalogue,
     copied: Copied,
     progress: Callable[[int, int], None],
 ) -> None:
+    """Copy new files of sets; corrupt ones go to the quarantine."""
     files = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
     for number, (index, file) in enumerate(files.items()):
         progress(number, len(files))
@@ -206,37 +209,37 @@ def _copy_sets(
         if target.exists() and target.stat().st_size == source.stat().st_size:
             copied.present += 1
             continue
-        found = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", index), file))
-        if found.touched or found.damages:
-            told = f"{found.damages[0] if found.damages else 'its SHA-256 differs'}; {BACK}"
-            copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=told))
+        checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", index), file))
+        if checked.touched or checked.damages:
+            description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
+            copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=description))
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
-        if found.n_bytes:  # else nothing of it can be read
+        if checked.n_bytes:  # else nothing of it can be read
             _write(target, read_shared(source), copied)
     progress(len(files), len(files))
 
 
-def _lost(folder: Path, destination: Path, catalogue: CatalogueLook, copied: Copied) -> list[Finding]:
-    """Name the sets that rows point at and that are neither a file nor in the journal.
+def _lost(folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied: Copied) -> list[Finding]:
+    """List sets with rows that have neither a file nor journal frames.
 
     Files first, in one listing: only for those that are not among them the journal is read.
     """
     named = {finding.file for finding in copied.damage}
     files = {f"{SETS_FOLDER}/{path.name}" for path in (folder / SETS_FOLDER).glob("*.h5")} | named
-    gone = {file: index for index, file in catalogue.files().items() if file not in files}
-    journal = read_journal(destination) if gone else {}
-    kept = {item.reference for item in journal.values()}
+    missing = {file: index for index, file in catalogue.files().items() if file not in files}
+    journal = read_journal(destination) if missing else {}
+    journaled = {item.reference for item in journal.values()}
     return [
         Finding(kind="set_missing", file=file, shot_id=None, told=f"{NOWHERE}; {BACK}")
-        for file in gone
+        for file in missing
         # A set may have left the journal for a file between the two looks.
-        if file not in kept and not (folder / file).exists()
+        if file not in journaled and not (folder / file).exists()
     ]
 
 
 def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
-    """Whatever else the folder keeps: the configuration, what the drive counted, logs, the quarantine."""
+    """Copy all other files: configuration, supply counters, logs, quarantine."""
     for name in sorted(OWN_NAMES - LEFT_OUT):
         place = folder / name
         paths = sorted(place.rglob("*")) if place.is_dir() else [place]
@@ -249,7 +252,7 @@ def _copy_others(folder: Path, destination: Path, copied: Copied) -> None:
 
 
 def _write(target: Path, content: bytes, copied: Copied) -> None:
-    """Write a copy, unless it is there, and read it back.
+    """Write a copy unless it exists, and read it back.
 
     Raises
     ------
@@ -268,7 +271,7 @@ def _write(target: Path, content: bytes, copied: Copied) -> None:
 
 
 def _forget(path: Path) -> None:
-    """Have the next reading come from the disk, where the system can be told so."""
+    """Drop a file from the system's cache, so that it is read from the disk."""
     if hasattr(os, "posix_fadvise"):
         descriptor = os.open(path, os.O_RDONLY)
         try:

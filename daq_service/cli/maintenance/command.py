@@ -1,4 +1,4 @@
-"""Carry out ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
+"""Run ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from daq_service.cli.maintenance.export_table import ExportedTable
 
 PROGRESS_EVERY_S = 10.0
-"""Where nobody sees a line that is rewritten."""
+"""Interval of progress lines if standard error is not a terminal."""
 LOWEST_PRIORITY = 19
 
 
 def run_verify(*, data_dir: Path, as_json: bool) -> int:
-    """Check a folder; 4 where something is damaged."""
+    """Check a folder; return 4 if something is corrupt."""
     _give_way(data_dir)
     report = verify_folder(data_dir, _progress("files"))
     if as_json:
         damage = [asdict(finding) for finding in report.damage]
         click.echo(json.dumps({"ok": not damage, "checked": report.checked, "damage": damage}))
     else:
-        _tell(report.damage)
+        _print_damage(report.damage)
         for note in report.notes:
             click.echo(f"note      {note}")
         counts = {name: number for name, number in report.checked.items() if name != "bytes"}
@@ -47,7 +47,7 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
 
 
 def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
-    """Mend a folder, or say what would be done; 4 while something stays damaged."""
+    """Repair a folder or list the steps; return 4 while something stays corrupt."""
     with own_data_folder(data_dir) if apply else nullcontext():
         report = verify_folder(data_dir, _progress("files"))
         steps = planned(data_dir, report, backup)
@@ -59,9 +59,11 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
                     raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
             report = verify_folder(data_dir, _progress("files"))
     if as_json:
-        told = {"applied": apply, "steps": [asdict(step) for step in steps]}
+        summary = {"applied": apply, "steps": [asdict(step) for step in steps]}
         click.echo(
-            json.dumps({"ok": not report.damage, **told, "damage": [asdict(item) for item in report.damage]})
+            json.dumps(
+                {"ok": not report.damage, **summary, "damage": [asdict(item) for item in report.damage]}
+            )
         )
     else:
         for step in steps:
@@ -73,14 +75,14 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
 
 
 def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
-    """Copy a folder; 4 where a file in it is damaged, or a set is lost."""
+    """Copy a folder; return 4 if a file in it is corrupt or a set is lost."""
     _give_way(data_dir)
     copied = back_up(data_dir, destination, _progress("files"))
     if as_json:
         facts = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
         click.echo(json.dumps(facts))
     else:
-        _tell(copied.damage)
+        _print_damage(copied.damage)
         click.echo(
             f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
             f"{copied.present} sets were there already"
@@ -97,18 +99,18 @@ def run_export(
     targets: Sequence[Path],
     overwrite: bool,
     as_json: bool,
-    **asked: Any,
+    **options: Any,
 ) -> int:
-    """Write one file of a test, a table or records; 4 where a set's file cannot be read."""
+    """Write one file of a test, a table or waveforms; return 4 if a set's file is unreadable."""
     if [hdf5, table, waveforms].count(None) != 2:
         raise UsageError(
             "say --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
         )
-    given = {name: value for name, value in asked.items() if value is not None}
+    given = {name: value for name, value in options.items() if value is not None}
     known = _OF_HDF5 if hdf5 is not None else _OF_TABLE if table is not None else _OF_WAVEFORMS
     if foreign := [name for name in given if name not in known] or (["out"] if hdf5 and targets else []):
-        told = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
-        raise UsageError(f"{told} does not belong to --{_word(hdf5, table)}; leave it out")
+        sentence = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
+        raise UsageError(f"{sentence} does not belong to --{_word(hdf5, table)}; leave it out")
     if hdf5 is None and not targets:
         raise UsageError(f"--{_word(hdf5, table)} wants --out FILE")
     if table is not None:
@@ -124,16 +126,16 @@ def run_export(
         records = RecordChoice(position=waveforms, **given)
         return _print_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
     assert hdf5 is not None, "one of the two is given"
-    made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
+    file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
     if as_json:
-        click.echo(json.dumps({"ok": not made.left_out, **asdict(made)}))
+        click.echo(json.dumps({"ok": not file.left_out, **asdict(file)}))
     else:
-        for told in made.left_out.values():
-            click.echo(f"left out  {told}")
-        if made.waiting:
-            click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
-        click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
-    return StorageError.exit_code if made.left_out else EXIT_OK
+        for sentence in file.left_out.values():
+            click.echo(f"left out  {sentence}")
+        if file.waiting:
+            click.echo(f"waiting   {file.waiting} sets have no file yet; export again later")
+        click.echo(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
+    return StorageError.exit_code if file.left_out else EXIT_OK
 
 
 _OF_HDF5: Collection[str] = ()
@@ -145,24 +147,25 @@ def _word(hdf5: Path | None, table: str | None) -> str:
     return "hdf5" if hdf5 is not None else "table" if table is not None else "waveforms"
 
 
-def _print_files(made: Sequence[ExportedTable], *, as_json: bool) -> int:
+def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
     if as_json:
-        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in made]}))
+        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in files]}))
     else:
-        for item in made:
+        for item in files:
             click.echo(f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)")
     return EXIT_OK
 
 
 def run_certify(*, data_dir: Path, **options: Any) -> int:
-    """Make a certificate; 6 where it does not pass."""
+    """Write an acceptance report; return 6 if it does not pass."""
     from daq_service.cli.maintenance.acceptance.command import certify
 
     _give_way(data_dir)
     return certify(data_dir=data_dir, progress=_progress("files"), **options)
 
 
-def _tell(damage: list[Finding]) -> None:
+def _print_damage(damage: list[Finding]) -> None:
+    """Print findings."""
     for finding in damage:
         click.echo(f"{finding.kind:<18} {finding.file}: {finding.told}")
 
@@ -172,22 +175,22 @@ def _listed(counts: dict[str, int]) -> str:
 
 
 def _give_way(folder: Path) -> None:
-    """Let a recorder that runs have processor and disk first."""
+    """Lower the priority while a recorder runs."""
     if is_owned(folder) and hasattr(os, "nice"):
         os.nice(LOWEST_PRIORITY)
 
 
 def _progress(what: str) -> Callable[[int, int], None]:
-    """Tell on standard error how far it is: a line that is rewritten, or now and then a new one."""
-    terminal, told_s = sys.stderr.isatty(), time.monotonic()
+    """Return a function that prints the progress to standard error."""
+    terminal, printed_s = sys.stderr.isatty(), time.monotonic()
 
-    def tell(done: int, planned: int) -> None:
-        nonlocal told_s
+    def print_progress(done: int, planned: int) -> None:
+        nonlocal printed_s
         text, now_s = f"{done} of {planned} {what}", time.monotonic()
         if terminal:
             click.echo(f"\r{text} ", nl=done == planned, err=True)
-        elif now_s - told_s >= PROGRESS_EVERY_S:
-            told_s = now_s
+        elif now_s - printed_s >= PROGRESS_EVERY_S:
+            printed_s = now_s
             click.echo(text, err=True)
 
-    return tell
+    return print_progress

@@ -57,7 +57,7 @@ _NO_RESULT = ("id", "set_index", "position", "shot_index", "sequence", "due_h", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """What a consolidated file came to.
+    """Result of an export.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ def export_hdf5(
 
 
 def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
-    """Refuse before anything is read what must not be written.
+    """Raise an error for a target that must not be written.
 
     Raises
     ------
@@ -156,15 +156,15 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
         The test's catalogue is lost.
     """
     if not (folder / FILE_NAME).is_file():
-        if told := lost_reason(folder):
-            raise StorageError(told)
+        if reason := lost_reason(folder):
+            raise StorageError(reason)
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"
         )
     if not target.parent.is_dir():
         raise UsageError(f"the folder {target.parent} is not there; make it, or choose another file")
-    where, own = target.absolute().parent.resolve() / target.name, folder.resolve()
-    if where.is_relative_to(own) and where.relative_to(own).parts[0] in OWN_NAMES:
+    absolute, test_folder = target.absolute().parent.resolve() / target.name, folder.resolve()
+    if absolute.is_relative_to(test_folder) and absolute.relative_to(test_folder).parts[0] in OWN_NAMES:
         raise UsageError(f"{target} lies among the test's own files; choose a place beside them")
     if target.exists() and not (overwrite and target.is_file()):
         raise UsageError(f"{target} exists; choose another file, or replace it with --overwrite")
@@ -173,14 +173,14 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
 def _blocks(
     folder: Path, files: Mapping[int, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
-    """Arrays of all files by what they share, how many sets have no file yet, and what cannot be read."""
-    found, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
+    """Return the arrays of all files, the number of sets without a file, and unreadable files."""
+    blocks, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
     journaled = FolderSetReader(folder).sets()
     for number, (index, file) in enumerate(sorted(files.items())):
         progress(number, len(files))
         try:
             for sampling, block in blocks_of(folder, file):
-                found.setdefault(sampling, []).append(block)
+                blocks.setdefault(sampling, []).append(block)
         except SetNotFoundError as error:
             if index in journaled:
                 waiting += 1
@@ -189,36 +189,36 @@ def _blocks(
         except ArchiveError as error:
             left_out[file] = str(error)
     progress(len(files), len(files))
-    return found, waiting, left_out
+    return blocks, waiting, left_out
 
 
 def _shot_columns(
     catalogue: Catalogue, sampling: Sampling, blocks: Sequence[Block], sets: Sequence[SetRow]
 ) -> Columns:
-    """Rows of the shots of blocks, and of their results, in the order of the shots."""
+    """Return columns of shots and their results, in the order of the shots."""
     due_h = {row.set_index: row.due_h for row in sets}
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
     parts = []
     for start in range(0, len(blocks), _SETS_AT_ONCE):
-        some = blocks[start : start + _SETS_AT_ONCE]
-        asked: dict[str, Any] = {"position": sampling.position}
-        asked |= {"first_set": some[0].set_index, "last_set": some[-1].set_index}
-        shots = {row.sequence: row for row in catalogue.rows(ShotRow, **asked)}
-        results = {row.sequence: row for row in catalogue.rows(kind, **asked)}
-        of_set = [(shot_id, block.set_index) for block in some for shot_id in block.shot_ids]
+        step = blocks[start : start + _SETS_AT_ONCE]
+        filters: dict[str, Any] = {"position": sampling.position}
+        filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
+        shots = {row.sequence: row for row in catalogue.rows(ShotRow, **filters)}
+        results = {row.sequence: row for row in catalogue.rows(kind, **filters)}
+        of_set = [(shot_id, block.set_index) for block in step for shot_id in block.shot_ids]
         ids = [shot_id for shot_id, _ in of_set]
         parts.append(
             {
-                **_columns([shots.get(one) for one in ids], ShotRow, _OF_A_SHOT),
+                **_columns([shots.get(shot_id) for shot_id in ids], ShotRow, _OF_A_SHOT),
                 "due_h": np.array([due_h.get(index, math.nan) for _, index in of_set]),
-                **_columns([results.get(one) for one in ids], kind, _results_of(kind)),
+                **_columns([results.get(shot_id) for shot_id in ids], kind, _results_of(kind)),
             }
         )
     return {name: _joined([part[name] for part in parts]) for name in parts[0]}
 
 
 def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
-    """Rows of a position's sets, and of their results, in the order of the sets."""
+    """Return columns of a position's sets and their results, in the order of the sets."""
     kinds: tuple[type[Row], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:
         kinds = (ThicknessRow,)
@@ -227,22 +227,23 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
     for kind in kinds:
         parts = []
         for start in range(0, len(sets), _SETS_AT_ONCE):
-            some = sets[start : start + _SETS_AT_ONCE]
-            asked: dict[str, Any] = {"position": position, "scope": "set" if kind is FeatureRow else None}
-            asked |= {"first_set": some[0].set_index, "last_set": some[-1].set_index}
-            found: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **asked)}  # type: ignore[attr-defined] # each of these kinds has one
-            parts.append(_columns([found.get(row.set_index) for row in some], kind, _results_of(kind)))
+            step = sets[start : start + _SETS_AT_ONCE]
+            filters: dict[str, Any] = {"position": position, "scope": "set" if kind is FeatureRow else None}
+            filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
+            results: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
+            parts.append(_columns([results.get(row.set_index) for row in step], kind, _results_of(kind)))
         columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
     return columns
 
 
 def _results_of(kind: type[Row]) -> tuple[str, ...]:
+    """Return the columns of results without keys and nested values."""
     nested = ("contributions", "statistics", "limits", "averages")
     return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
 
 
 def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
-    """Values by column; where there is none: NaN, -1, or an empty text."""
+    """Return values by column; missing ones are NaN, -1, or an empty text."""
     types = {column.name: column.type for column in columns_of(kind)}
     return {
         name: _column([None if row is None else getattr(row, name) for row in rows], types[name])
@@ -251,6 +252,7 @@ def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) 
 
 
 def _column(values: list[Any], of_type: Any) -> Column:
+    """Return a column as array or texts."""
     nullable = NoneType in get_args(of_type)
     plain = next(kind for kind in get_args(of_type) if kind is not NoneType) if nullable else of_type
     if plain is float:
@@ -262,6 +264,7 @@ def _column(values: list[Any], of_type: Any) -> Column:
 
 
 def _joined(parts: Sequence[Column]) -> Column:
+    """Concatenate parts of a column."""
     if isinstance(parts[0], list):
         return [value for part in parts for value in part]
     return np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""Write a table of a test, or records of a position, to files in the formats of their names."""
+"""Export a table of a test, or waveforms of a position, in the formats of the file names."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ def export_records(
     """
     read: list[RecordSlice] = []
 
-    def made(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
+    def make(catalogue: Catalogue, fresh: Freshness, form: str) -> Parts:
         if not read:
             archive = FolderSetReader(folder)
             read.append(read_slice(catalogue, archive, choice, most_bytes=MOST_RECORD_BYTES))
         return iter([exported_records(catalogue, fresh, choice, read[0], form)])
 
-    return _write(folder, choice.position, RECORDS, targets, made, overwrite=overwrite)
+    return _write(folder, choice.position, RECORDS, targets, make, overwrite=overwrite)
 
 
 def _write(
@@ -84,7 +84,7 @@ def _write(
     forms = [_form(target) for target in targets]
     for target in targets:
         refuse_target(folder, target, overwrite=overwrite)
-    made = []
+    files = []
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.experiment_row()
         positions = experiment.configuration["positions"]
@@ -99,8 +99,8 @@ def _write(
                 raise StorageUnavailableError(
                     f"{target} cannot be written: {error}; free or mend the disk"
                 ) from error
-            made.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
-    return made
+            files.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
+    return files
 
 
 def _form(target: Path) -> str:

@@ -13,25 +13,27 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 
 
 def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
-    """Make the catalogue again and say what came of it; progress goes to standard error."""
+    """Rebuild the catalogue and print the result; progress goes to standard error."""
     from daq_service.recording.rebuild import rebuild
 
     folder = data_dir.absolute()
     prepare_data_folder(folder, anew=False)
-    # Old alarms are raised once more: no news to whoever waits here.
+    # Old alarms are raised again, which is of no interest here.
     logging.getLogger("daq_service.recording.set_assessor").addHandler(logging.NullHandler())
 
     def progress(done: int, total: int) -> None:
         click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
 
     with own_data_folder(folder):
-        made = rebuild(folder, progress=progress)
+        built = rebuild(folder, progress=progress)
     if as_json:
-        click.echo(json.dumps(asdict(made)))
+        click.echo(json.dumps(asdict(built)))
         return
     click.echo(
-        f"{made.experiment}: {made.sets} sets judged again, {made.events} events, {made.orders} orders"
+        f"{built.experiment}: {built.sets} sets judged again, {built.events} events, {built.orders} orders"
     )
-    for warning in made.warnings:
+    for warning in built.warnings:
         click.echo(f"warning: {warning}")
-    click.echo(f"the old catalogue is kept as {made.kept}" if made.kept else "there was no catalogue before")
+    click.echo(
+        f"the old catalogue is kept as {built.kept}" if built.kept else "there was no catalogue before"
+    )

@@ -1,4 +1,4 @@
-"""``repair``: what can be mended without a guess; nothing is deleted but what was never finished."""
+"""``repair``: unambiguous repairs; only unfinished files are deleted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daq_service.archive.writer import move_aside
 from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
-from daq_service.catalogue.verification import CatalogueLook
+from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.rows import RowsOfSet, differing
 from daq_service.cli.maintenance.verify import TABLES, Report, expected_sha256
 from daq_service.shared_file import read_shared, remove_quietly, write_durably
@@ -30,7 +30,7 @@ OF_A_FILE = ("set_missing", "set_unreadable", "set_touched", "shot", "metadata")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """What is done about one file.
+    """Step to repair one file.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Step:
 
 
 def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
-    """Say what helps against each damage, and against what was left over.
+    """Return the step for each corruption and for unfinished files.
 
     Parameters
     ----------
@@ -67,6 +67,7 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
 
 
 def _left_over(folder: Path) -> Iterator[Step]:
+    """Yield the steps for unfinished files."""
     for path in sorted((folder / SETS_FOLDER).glob(f"*{TEMPORARY_SUFFIX}")):
         yield Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", why="it was never finished")
 
@@ -74,18 +75,19 @@ def _left_over(folder: Path) -> Iterator[Step]:
 def _of_file(
     folder: Path, file: SetReference, journal: Mapping[int, JournaledSet], backup: Path | None
 ) -> Step:
+    """Return the step for a corrupt or missing file of a set."""
     ((index, _),) = referenced_sets([Path(file).name]).items()
     journaled = journal.get(index)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
         return Step(does="from_journal", file=file, why="the journal still has every record of the set")
     rows = _rows(folder, index)
     if backup is not None:
-        told = _told_against(backup, file, rows)
-        if not told:
+        objection = _objection(backup, file, rows)
+        if not objection:
             return Step(
                 does="from_backup", file=file, why=f"{backup / file} is whole and agrees with the rows"
             )
-        return Step(does="nothing", file=file, why=f"the backup does not help: {told}")
+        return Step(does="nothing", file=file, why=f"the backup does not help: {objection}")
     if rows is not None and not rows.sets:
         return Step(does="set_aside", file=file, why="it has no rows: its set is taken again, or missed")
     return Step(
@@ -96,15 +98,16 @@ def _of_file(
 
 
 def _rows(folder: Path, index: int) -> RowsOfSet | None:
+    """Read the rows of a set; None if the catalogue is unreadable."""
     try:
-        with CatalogueLook(folder) as catalogue:
+        with UnchangedCatalogue(folder) as catalogue:
             return RowsOfSet(**{table: catalogue.of_set(table, index) for table in TABLES})
-    except CatalogueError:  # told as a damage of its own
+    except CatalogueError:  # reported as a separate finding
         return None
 
 
 def _results(folder: Path, index: int) -> Results:
-    """Results that the file had; none where there is no catalogue to ask."""
+    """Return the results for the file; none without a catalogue."""
     try:
         with open_catalogue(folder) as catalogue:
             return results_in(catalogue, index)
@@ -113,8 +116,8 @@ def _results(folder: Path, index: int) -> Results:
         return {}
 
 
-def _told_against(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
-    """Say why a backup's file is not taken; empty: it is the file that was lost."""
+def _objection(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
+    """Return why a backup's file is not suitable; empty if it is the lost file."""
     if not (backup / file).is_file():
         return f"{backup / file} is not there"
     if rows is None:
@@ -127,7 +130,7 @@ def _told_against(backup: Path, file: SetReference, rows: RowsOfSet | None) -> s
 
 
 def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
-    """Do one step; whoever calls it owns the folder.
+    """Execute one step; the caller owns the folder.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Carry out ``report``."""
+"""Run ``report``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the rows of a set must say, by its file."""
+"""Compare the rows of a set with its file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, Thickn
 from hardware_drivers.methods import PULSE_ECHO
 
 Found = Mapping[str, Any]
-"""A row as it stands in the catalogue: column to value."""
-_JUDGED = ("valid", "flags")
+"""A row of the catalogue: column to value."""
+_ASSESSED_COLUMNS = ("valid", "flags")
 """Columns of a shot that do not follow from its record alone."""
 
 
@@ -35,7 +35,7 @@ class RowsOfSet:
 def differing(
     rows: RowsOfSet, record: SetRecord, file: SetReference, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
-    """Say where rows and file differ, with the id of the shot.
+    """Yield the differences between rows and file, with the id of the shot.
 
     Parameters
     ----------
@@ -67,8 +67,11 @@ def differing(
                 "n_restrikes": n_restrikes(record, position.position),
                 "file": file if taken else None,
             }
-            yield from ((None, told) for told in _differences(where, row, wanted))
-        yield from ((None, f"{where}: {told}") for told in _results(rows, position.position, position.method))
+            yield from ((None, difference) for difference in _differences(where, row, wanted))
+        yield from (
+            (None, f"{where}: {difference}")
+            for difference in _results(rows, position.position, position.method)
+        )
     for name, row in of_position.items():
         if row["n_taken"] or row["file"] is not None:
             yield None, f"sets, set {record.set_index} of {name}: the file has no such position"
@@ -80,19 +83,21 @@ def differing(
             [ShotRow(**{**_known(ShotRow, row), "flags": _flags(row)}) for row in rows.shots],
         )
         yield from (
-            (None, f"set {record.set_index}, {told}") for told in results_differ(record.results, copy)
+            (None, f"set {record.set_index}, {difference}")
+            for difference in results_differ(record.results, copy)
         )
 
 
 def _known(kind: type[Row], row: Found) -> dict[str, Any]:
-    """Columns that a kind of row has today."""
+    """Return the columns that a kind of row has."""
     return {name: row[name] for name in kind.__slots__ if name in row}
 
 
 def _flags(row: Found) -> list[str]:
+    """Decode the flags of a shot."""
     try:
         found = json.loads(row["flags"])
-    except (TypeError, ValueError):  # damaged: then it is not what the file says
+    except (TypeError, ValueError):  # corrupt: then it differs from the file
         return [str(row["flags"])]
     return [str(flag) for flag in found] if isinstance(found, list) else [str(found)]
 
@@ -100,6 +105,7 @@ def _flags(row: Found) -> list[str]:
 def _shots(
     found: Sequence[Found], record: SetRecord, lost: frozenset[int]
 ) -> Iterator[tuple[int | None, str]]:
+    """Yield the differences of shots."""
     by_sequence = {row["sequence"]: row for row in found}
     for item in record.records:
         outcome: Outcome = "superseded" if record.outcomes.get(item.sequence) == "superseded" else "accepted"
@@ -108,21 +114,22 @@ def _shots(
         if row is None:
             yield item.sequence, f"{where}: there is no row"
             continue
-        wanted = {name: value for name, value in wanted.items() if name not in _JUDGED}
-        yield from ((item.sequence, told) for told in _differences(where, row, wanted))
+        wanted = {name: value for name, value in wanted.items() if name not in _ASSESSED_COLUMNS}
+        yield from ((item.sequence, difference) for difference in _differences(where, row, wanted))
     for sequence in by_sequence.keys() - lost:
         yield sequence, f"shots, sequence {sequence}: the file has no such shot"
 
 
 def _differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
     # An earlier revision lacks columns.
+    """Yield the differing columns of a row."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"
 
 
 def _results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
-    """Whether there are results of every stored shot, or of none where the set was not judged."""
+    """Yield a message if results do not match the stored shots."""
     shots = {row["sequence"] for row in rows.shots if row["position"] == position}
     if method == PULSE_ECHO:
         read = [row["sequence"] for row in rows.thickness if row["position"] == position]
@@ -131,8 +138,8 @@ def _results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
         return
     features = [row for row in rows.features if row["position"] == position]
     of_sets = [row for row in features if row["shot_index"] is None]
-    judged = [row for row in rows.verdicts if row["position"] == position]
-    if len(of_sets) != len(judged):
-        yield f"{len(of_sets)} rows of features of the set, but {len(judged)} verdicts"
+    assessment_rows = [row for row in rows.verdicts if row["position"] == position]
+    if len(of_sets) != len(assessment_rows):
+        yield f"{len(of_sets)} rows of features of the set, but {len(assessment_rows)} verdicts"
     if features and {row["sequence"] for row in features if row["shot_index"] is not None} != shots:
         yield "features and shots are not of the same records"

@@ -1,7 +1,7 @@
-"""``verify``: every frame, every file, and the catalogue's rows against them both ways; nothing is written.
+"""``verify``: check every frame and file, and compare the catalogue's rows with them; nothing is written.
 
-Looked at in this order, so that what a recorder does meanwhile is no damage: the catalogue's list of sets,
-the journal, the files. A set moves from the journal to a file and never back.
+The order avoids false findings while a recorder runs: list of sets in the catalogue, journal, files. A set
+moves from the journal to a file and never back.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import lost_rows, parsed, read_history
-from daq_service.catalogue.verification import CatalogueLook
+from daq_service.catalogue.history import lost_rows, parse_lines, read_history
+from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
 from daq_service.commands.audit import AUDIT_FILE
@@ -59,7 +59,7 @@ KINDS = {
 TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 """Whose rows belong to a position and a set."""
 MOST_BEHIND_S = 60.0
-"""A history that is further behind was cut off, or could not be written: it follows within a second."""
+"""A history with a longer delay was truncated or not written: it normally follows within a second."""
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
 LOGS = {
@@ -74,7 +74,7 @@ LOGS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One damage.
+    """One corruption.
 
     Attributes
     ----------
@@ -95,15 +95,15 @@ class Finding:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Look:
-    """A data folder while it is looked at.
+class FolderCheck:
+    """State of the check of a data folder.
 
     Attributes
     ----------
     catalogue
         None: there is none that can be read.
-    experiment, begun
-        Its row, and the sets that had rows when the look began.
+     experiment, sets_with_rows
+        Its row, and the sets that had rows at the start of the check.
     checked
         What was looked at, by its name.
     unreadable
@@ -113,78 +113,81 @@ class Look:
     """
 
     folder: Path
-    catalogue: CatalogueLook | None
+    catalogue: UnchangedCatalogue | None
     experiment: Found | None = None
-    begun: frozenset[int] = frozenset()
+    sets_with_rows: frozenset[int] = frozenset()
     journal: CheckedJournal = field(default_factory=lambda: CheckedJournal(sets={}, damages=[]))
     checked: Counter[str] = field(default_factory=Counter)
     unreadable: set[str] = field(default_factory=set)
     progress: Callable[[int, int], None] = lambda done, planned: None
 
 
-def check_catalogue(look: Look) -> Iterator[Finding]:
-    """Pages, indexes, foreign keys; shots without a set."""
-    if look.catalogue is None:
+def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
+    """Check pages, indices and foreign keys, and find shots without a set."""
+    if state.catalogue is None:
         yield Finding(
             kind="catalogue", file=FILE_NAME, shot_id=None, told=f"it is not there; {MADE_AGAIN} in its place"
         )
         return
-    for damage in look.catalogue.troubles():
+    for damage in state.catalogue.troubles():
         if damage.table is None or damage.row_id is None:
-            look.unreadable.add(damage.told)
+            state.unreadable.add(damage.description)
         else:
             shot_id = damage.row_id if damage.table == "shots" else None
             yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{damage}; {MADE_AGAIN}")
     try:
-        look.checked["rows"] = look.catalogue.n_rows()
-        for sequence in look.catalogue.strays():
-            told = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
-            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, told=told)
+        state.checked["rows"] = state.catalogue.n_rows()
+        for sequence in state.catalogue.strays():
+            description = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
+            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, told=description)
     except CatalogueDamagedError as error:
-        look.unreadable.add(str(error))
+        state.unreadable.add(str(error))
 
 
-def check_experiment(look: Look) -> Iterator[Finding]:
-    """Look at what stands beside the catalogue, so that it can be made again."""
+def check_experiment(state: FolderCheck) -> Iterator[Finding]:
+    """Check the files that a lost catalogue is rebuilt from."""
     try:
-        kept = read_experiment(look.folder)
+        stored = read_experiment(state.folder)
     except CatalogueError as error:
         yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=str(error))
     else:
-        if kept is not None and look.experiment is not None:
-            own = {name: look.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")}
-            other = {name: getattr(kept, name) for name in own}
-            if own != other:
-                told = f"it tells of {other}, the catalogue of {own}: one is foreign or damaged; {BACK}"
-                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=told)
-    running = is_owned(look.folder) is not False
+        if stored is not None and state.experiment is not None:
+            catalogue_values = {
+                name: state.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")
+            }
+            file_values = {name: getattr(stored, name) for name in catalogue_values}
+            if catalogue_values != file_values:
+                values = f"it tells of {file_values}, the catalogue of {catalogue_values}"
+                description = f"{values}: one is foreign or damaged; {BACK}"
+                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=description)
+    running = is_owned(state.folder) is not False
     try:
-        history = read_history(look.folder)
+        history = read_history(state.folder)
     except OSError as error:
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=f"it cannot be read: {error}")
         return
-    look.checked["lines_of_history"] = history.last_number
+    state.checked["lines_of_history"] = history.last_number
     last_id = max(history.events, default=0)
-    if last_id and look.catalogue is not None and not look.catalogue.has_event(history.events[last_id]):
+    if last_id and state.catalogue is not None and not state.catalogue.has_event(history.events[last_id]):
         # A recorder, too, appends to the history what the catalogue has.
         yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=lost_rows(last_id))
     # A folder from before there was either gets them with its next start.
-    older = history.last_number == 0 and not (look.folder / EXPERIMENT_FILE).exists()
-    cut_off = [] if older else _lines_cut_off(look, last_id, running=running)
+    older = history.last_number == 0 and not (state.folder / EXPERIMENT_FILE).exists()
+    cut_off = [] if older else _lines_cut_off(state, last_id, running=running)
     for line in [*history.damage, *cut_off]:
-        told = f"{line}; the catalogue has it still: back it up, and keep both"
-        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
+        description = f"{line}; the catalogue has it still: back it up, and keep both"
+        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=description)
 
 
-def _lines_cut_off(look: Look, last_id: int, *, running: bool) -> Iterator[str]:
-    """Tell of events behind the history's last one that it must know.
+def _lines_cut_off(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
+    """Yield missing events after the end of the history.
 
-    A recorder follows within a second and before it ends. A crash costs no more; the next start writes it.
+    A recorder appends them within a second and before it ends; after a crash the next start does.
     """
     try:
-        lacking = [] if look.catalogue is None else look.catalogue.events_after(last_id)
+        lacking = [] if state.catalogue is None else state.catalogue.events_after(last_id)
     except CatalogueDamagedError as error:
-        look.unreadable.add(str(error))
+        state.unreadable.add(str(error))
         return
     if not lacking:
         return
@@ -195,11 +198,11 @@ def _lines_cut_off(look: Look, last_id: int, *, running: bool) -> Iterator[str]:
         yield f"{HISTORY_FILE} ends before events {first} to {last}, which are {behind_s:.0f} s apart"
 
 
-def check_logs(look: Look) -> Iterator[Finding]:
-    """Look whether a line of who did what, or of who was told, was changed or taken away."""
+def check_logs(state: FolderCheck) -> Iterator[Finding]:
+    """Check audit log and notification log for changed or missing lines."""
     for kind, (file, remedy) in LOGS.items():
         try:
-            damage = parsed(read_shared(look.folder / file), name=file).damage
+            damage = parse_lines(read_shared(state.folder / file), name=file).damage
         except FileNotFoundError:
             continue
         except OSError as error:
@@ -208,127 +211,138 @@ def check_logs(look: Look) -> Iterator[Finding]:
             yield Finding(kind=kind, file=file, shot_id=None, told=f"{line}; {remedy}")
 
 
-def check_frames(look: Look) -> Iterator[Finding]:
-    """Every frame of the journal; what is damaged only at the first look was being written."""
-    first = check_journal(look.folder)
-    look.journal = check_journal(look.folder) if first.damages else first
-    look.checked["frames"], look.checked["bytes"] = look.journal.n_frames, look.journal.n_bytes
+def check_frames(state: FolderCheck) -> Iterator[Finding]:
+    """Check every frame of the journal twice, since a frame may be incomplete while it is written."""
+    first = check_journal(state.folder)
+    state.journal = check_journal(state.folder) if first.damages else first
+    state.checked["frames"], state.checked["bytes"] = (
+        state.journal.n_frames,
+        state.journal.n_bytes,
+    )
     before = {(file, str(damage)) for file, damage in first.damages}
-    for file, damage in look.journal.damages:
+    for file, damage in state.journal.damages:
         if (file, str(damage)) in before:
             remedy = "the others of its set are safe; the damaged one is lost but for a backup's"
             yield Finding(kind="frame", file=file, shot_id=damage.sequence, told=f"{damage}; {remedy}")
 
 
-def check_sets(look: Look) -> Iterator[Finding]:
-    """Every file and every whole set of the journal, and its rows."""
-    paths = sorted(path for path in (look.folder / SETS_FOLDER).glob("*.h5") if referenced_sets([path.name]))
+def check_sets(state: FolderCheck) -> Iterator[Finding]:
+    """Check every file and every complete set of the journal, and its rows."""
+    paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if referenced_sets([path.name]))
     for number, path in enumerate(paths):
-        look.progress(number, len(paths))
+        state.progress(number, len(paths))
         ((index, reference),) = referenced_sets([path.name]).items()
-        yield from _check_file(look, index, reference)
-    look.progress(len(paths), len(paths))
-    for index, item in look.journal.sets.items():
+        yield from _check_file(state, index, reference)
+    state.progress(len(paths), len(paths))
+    for index, item in state.journal.sets.items():
         file = item.reference
-        if file is None or (look.folder / file).exists():
+        if file is None or (state.folder / file).exists():
             continue
-        look.checked["sets_in_journal"] += 1
+        state.checked["sets_in_journal"] += 1
         if item.has_records:
             lost = frozenset(damage.sequence or 0 for damage in item.damages())
-            yield from _compare(look, _rows_of(look, index), index, file, item.record(), lost)
+            yield from _compare(state, _rows_of(state, index), index, file, item.record(), lost)
 
 
-def _check_file(look: Look, index: int, reference: SetReference) -> Iterator[Finding]:
-    rows = _rows_of(look, index)
+def _check_file(state: FolderCheck, index: int, reference: SetReference) -> Iterator[Finding]:
+    """Check the file of a set and compare it with its rows."""
+    rows = _rows_of(state, index)
     sha256 = None if rows is None else expected_sha256(rows.sets, reference)
     try:
-        found = check_file(look.folder / reference, sha256=sha256)
+        found = check_file(state.folder / reference, sha256=sha256)
     except SetNotFoundError:
-        return  # whether it should be there, its rows say
-    look.checked["files"] += 1
-    look.checked["bytes"] += found.n_bytes
+        return  # its rows decide whether it should exist
+    state.checked["files"] += 1
+    state.checked["bytes"] += found.n_bytes
     if found.touched:
-        told = f"its SHA-256 is not that of the file that was written; {BACK}"
-        yield Finding(kind="set_touched", file=reference, shot_id=None, told=told)
+        description = f"its SHA-256 is not that of the file that was written; {BACK}"
+        yield Finding(kind="set_touched", file=reference, shot_id=None, told=description)
     for damage in found.damages:
         kind = "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
         yield Finding(kind=kind, file=reference, shot_id=damage.sequence, told=f"{damage}; {BACK}")
     if found.record is not None:
-        look.checked["shots"] += len(found.record.records)
+        state.checked["shots"] += len(found.record.records)
         lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
-        yield from _compare(look, rows, index, reference, found.record, lost)
+        yield from _compare(state, rows, index, reference, found.record, lost)
 
 
 def expected_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
-    """SHA-256 that the rows of a set know of its file; None: they know none."""
+    """Return the SHA-256 of a set's file in its rows; None if there is none."""
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
 
-def _rows_of(look: Look, index: int) -> RowsOfSet | None:
-    """Rows of a set, None where the catalogue cannot be read: that is told once."""
-    if look.catalogue is None:
+def _rows_of(state: FolderCheck, index: int) -> RowsOfSet | None:
+    """Read the rows of a set; None if the catalogue is unreadable, which is reported once."""
+    if state.catalogue is None:
         return None
     try:
-        return RowsOfSet(**{table: look.catalogue.of_set(table, index) for table in TABLES})
+        return RowsOfSet(**{table: state.catalogue.of_set(table, index) for table in TABLES})
     except CatalogueDamagedError as error:
-        look.unreadable.add(str(error))
+        state.unreadable.add(str(error))
         return None
 
 
 def _compare(
-    look: Look,
+    state: FolderCheck,
     rows: RowsOfSet | None,
     index: int,
     reference: SetReference,
     record: SetRecord,
     lost: frozenset[int],
 ) -> Iterator[Finding]:
+    """Compare a set with its rows."""
     if reference != set_reference(record.set_index, record.due_utc_ns):
-        told = (
+        description = (
             f"it holds set {record.set_index} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
-        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{told}; {BACK}")
+        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{description}; {BACK}")
         return
-    if rows is None or look.experiment is None:
+    if rows is None or state.experiment is None:
         return
-    name, own = record.provenance.get("configuration_hash"), look.experiment["configuration_hash"]
-    if name is not None and name != own:
-        told = f"its configuration is {name}, the catalogue's {own}: one of the two is foreign or damaged"
-        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{told}; move it out, or {BACK}")
+    file_hash = record.provenance.get("configuration_hash")
+    catalogue_hash = state.experiment["configuration_hash"]
+    if file_hash is not None and file_hash != catalogue_hash:
+        hashes = f"its configuration is {file_hash}, the catalogue's {catalogue_hash}"
+        description = f"{hashes}: one of the two is foreign or damaged"
+        yield Finding(
+            kind="metadata", file=reference, shot_id=None, told=f"{description}; move it out, or {BACK}"
+        )
         return
     hour_0 = record.due_utc_ns - round(record.due_h * NS_PER_H)
-    if hour_0 != look.experiment["epoch_utc_ns"]:
-        told = f"experiment: hour 0 is {look.experiment['epoch_utc_ns']}, by {reference} it is {hour_0} ns"
-        yield Finding(kind="row", file=FILE_NAME, shot_id=None, told=f"{told}; {MADE_AGAIN}")
+    if hour_0 != state.experiment["epoch_utc_ns"]:
+        description = (
+            f"experiment: hour 0 is {state.experiment['epoch_utc_ns']}, by {reference} it is {hour_0} ns"
+        )
+        yield Finding(kind="row", file=FILE_NAME, shot_id=None, told=f"{description}; {MADE_AGAIN}")
     if rows.sets:
-        for shot_id, told in differing(rows, record, reference, lost):
-            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{told}; {MADE_AGAIN}")
-    elif in_order(index)[0] < max((begun for begun in look.begun if begun < PLANNED_SETS), default=0):
-        told = (
+        for shot_id, description in differing(rows, record, reference, lost):
+            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{description}; {MADE_AGAIN}")
+    elif in_order(index)[0] < max((i for i in state.sets_with_rows if i < PLANNED_SETS), default=0):
+        description = (
             f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
         )
-        yield Finding(kind="file_without_rows", file=reference, shot_id=None, told=told)
+        yield Finding(kind="file_without_rows", file=reference, shot_id=None, told=description)
     else:
-        look.checked["sets_without_rows"] += 1
+        state.checked["sets_without_rows"] += 1
 
 
-def check_references(look: Look) -> Iterator[Finding]:
-    """Every set that rows point at is a file or in the journal."""
-    for index in sorted(look.begun):
-        rows = _rows_of(look, index)
+def check_references(state: FolderCheck) -> Iterator[Finding]:
+    """Check that every set with rows is a file or in the journal."""
+    for index in sorted(state.sets_with_rows):
+        rows = _rows_of(state, index)
         files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()
-        look.checked["sets_with_rows"] += 1
-        journaled = look.journal.sets.get(index)
+        state.checked["sets_with_rows"] += 1
+        journaled = state.journal.sets.get(index)
         for file in sorted(files):
-            if not (look.folder / file).exists() and (journaled is None or journaled.reference != file):
-                told = f"{NOWHERE}; {BACK}"
-                yield Finding(kind="set_missing", file=file, shot_id=None, told=told)
-    for told in sorted(look.unreadable):
+            if not (state.folder / file).exists() and (journaled is None or journaled.reference != file):
+                description = f"{NOWHERE}; {BACK}"
+                yield Finding(kind="set_missing", file=file, shot_id=None, told=description)
+    for description in sorted(state.unreadable):
         remedy = f"bring it back from a backup, or {MADE_AGAIN}"
-        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=f"{told}; {remedy}")
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=f"{description}; {remedy}")
 
 
-CHECKS: tuple[Callable[[Look], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[FolderCheck], Iterator[Finding]], ...] = (
     check_catalogue,
     check_experiment,
     check_logs,
@@ -341,7 +355,7 @@ CHECKS: tuple[Callable[[Look], Iterator[Finding]], ...] = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """What was looked at, what is damaged, and what else lies there that somebody should know of."""
+    """Checked items, corruption, and notes."""
 
     checked: dict[str, int]
     damage: list[Finding]
@@ -349,45 +363,49 @@ class Report:
 
 
 def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda done, planned: None) -> Report:
-    """Look at everything in a data folder; beside a running test, too.
+    """Check all data in a data folder, even while a test runs.
 
     Raises
     ------
     StorageError
-        The folder is not there, or holds no test: damage cannot be told from a disk that is not mounted.
+        The folder is missing or holds no test: corruption cannot be distinguished from an unmounted disk.
     """
     if not any((folder / name).exists() for name in (SETS_FOLDER, FILE_NAME)):
         raise StorageError(
             f"{folder} holds no test of solimon; see that it is the right one and its disk is there"
         )
     with ExitStack() as stack:
-        look = Look(folder=folder, catalogue=None, progress=progress)
+        state = FolderCheck(folder=folder, catalogue=None, progress=progress)
         try:
-            look.catalogue = stack.enter_context(CatalogueLook(folder))
-            look.experiment = look.catalogue.experiment()
-            # Whatever a damaged page says.
-            look.begun = frozenset(index for index in look.catalogue.set_indices() if isinstance(index, int))
+            state.catalogue = stack.enter_context(UnchangedCatalogue(folder))
+            state.experiment = state.catalogue.experiment()
+            # A corrupt page may return other types.
+            state.sets_with_rows = frozenset(
+                index for index in state.catalogue.set_indices() if isinstance(index, int)
+            )
         except NoDataYetError:
             pass
         except CatalogueDamagedError as error:
-            look.unreadable.add(str(error))
-        damage = list(dict.fromkeys(finding for check in CHECKS for finding in check(look)))
-    return Report(checked=dict(look.checked), damage=damage, notes=_notes(look))
+            state.unreadable.add(str(error))
+        damage = list(dict.fromkeys(finding for check in CHECKS for finding in check(state)))
+    return Report(checked=dict(state.checked), damage=damage, notes=_notes(state))
 
 
-def _notes(look: Look) -> list[str]:
-    """List what is no damage: still to come, left over, set aside, not ours."""
-    others = [path.name for path in (look.folder / SETS_FOLDER).glob("*") if not referenced_sets([path.name])]
-    left = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
-    strange = sorted(set(others) - set(left))
-    aside = sorted(path.name for path in (look.folder / QUARANTINE_FOLDER).glob("*"))
+def _notes(state: FolderCheck) -> list[str]:
+    """List what is not corrupt but noteworthy: unfinished, foreign or quarantined files."""
+    others = [
+        path.name for path in (state.folder / SETS_FOLDER).glob("*") if not referenced_sets([path.name])
+    ]
+    unfinished = sorted(name for name in others if name.endswith(TEMPORARY_SUFFIX))
+    foreign = sorted(set(others) - set(unfinished))
+    quarantined = sorted(path.name for path in (state.folder / QUARANTINE_FOLDER).glob("*"))
     notes = []
-    if number := look.checked["sets_without_rows"]:
+    if number := state.checked["sets_without_rows"]:
         notes.append(f"{number} sets have no rows yet; the recorder's next start makes them")
-    if left:
-        notes.append(f"left over in {SETS_FOLDER}: {', '.join(left)}; solimon repair removes them")
-    if strange:
-        notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(strange)}")
-    if aside:
-        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(aside)}; remove what nobody needs")
+    if unfinished:
+        notes.append(f"left over in {SETS_FOLDER}: {', '.join(unfinished)}; solimon repair removes them")
+    if foreign:
+        notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(foreign)}")
+    if quarantined:
+        notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what nobody needs")
     return notes

@@ -1,4 +1,4 @@
-"""``solimon assess``: judge tables of features as the service would, a sensor a table."""
+"""``solimon assess``: assess tables of features as the service does, one transducer per table."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from daq_service.errors import UsageError
 from daq_service.processes.executors import opened_executor, usable_cores
 
 FEW_FILES = 8
-"""Fewer are judged in this process: another one takes a second to begin."""
+"""Minimum number of files for worker processes, which take a second to start."""
 FILES_A_TASK = 8
 LONGEST_RUN = 1e9
-"""Sets from one false alarm to the next; far beyond, the equation of the chart's limit has no digits."""
+"""Maximum sets between false alarms; far above, the equation of the chart's limit is inaccurate."""
 
 
 def run_assess(
@@ -43,7 +43,7 @@ def run_assess(
     false_discovery_rate: float,
     as_json: bool,
 ) -> None:
-    """Judge every table; what cannot be judged is told as refused, with its reason."""
+    """Assess every table; report tables that cannot be assessed with the reason."""
     if (baseline_rows is None) == (baseline_where is None):
         raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
     where = None
@@ -65,54 +65,58 @@ def run_assess(
             f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
         )
     with _mapped(tables) as mapped:
-        one = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
-        found: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(one, tables))
-        answer: dict[str, Any] = {"sensors": [told for told, _ in found]}
-        readable = {path: told for path, (told, error) in zip(tables, found, strict=True) if error is None}
+        assess_table = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
+        results: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(assess_table, tables))
+        answer: dict[str, Any] = {"sensors": [sensor for sensor, _ in results]}
+        readable = {
+            path: sensor for path, (sensor, error) in zip(tables, results, strict=True) if error is None
+        }
         if fleet and readable:
-            alone = [told["alarm"]["rows"] for told in readable.values()]
-            answer["fleet"] = assess_fleet([*readable], read, mapped, design, false_discovery_rate, alone)
+            own_alarms = [sensor["alarm"]["rows"] for sensor in readable.values()]
+            answer["fleet"] = assess_fleet(
+                [*readable], read, mapped, design, false_discovery_rate, own_alarms
+            )
     if as_json:
         click.echo(json.dumps(answer, allow_nan=False))
     else:
-        for told in answer["sensors"]:
-            click.echo(in_words(told, budget, sets_per_day))
+        for sensor in answer["sensors"]:
+            click.echo(in_words(sensor, budget, sets_per_day))
         if "fleet" in answer:
             click.echo(fleet_in_words(answer["fleet"]))
-    for _, error in found:
+    for _, error in results:
         if error is not None and not isinstance(error, NoTableError):
             raise error  # no fault of a file's content: the line asked for what is not there
 
 
 @contextmanager
 def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
-    """Give a `map` over tables: over processes where they are many, with progress where a person looks."""
+    """Provide a `map` over tables: with processes for many files, and progress on a terminal."""
     workers = min(usable_cores(), -(-len(tables) // FILES_A_TASK))
     if len(tables) < FEW_FILES or workers < 2:
         yield map
         return
     with opened_executor("processes", workers) as executor:
 
-        def spread(one: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
+        def map_in_processes(function: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
             progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
-            for found in executor.map(one, paths, chunksize=FILES_A_TASK):
+            for result in executor.map(function, paths, chunksize=FILES_A_TASK):
                 if progress is not None:
                     progress.advance(1)
-                yield found
+                yield result
 
-        yield spread
+        yield map_in_processes
 
 
 def answered(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
 ) -> tuple[dict[str, Any], UsageError | None]:
-    """Judge one table, or tell it as refused with the error of reading it: others have answers too."""
+    """Assess one table, or return the error of reading it, so that other tables are assessed."""
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
         lists = ("features_dropped", "columns_assessed", "columns_left_out")
-        told = {"file": str(path), "refused": str(error), **{name: [] for name in lists}}
-        return told | _nothing(with_rows=with_rows), error
+        answer = {"file": str(path), "refused": str(error), **{name: [] for name in lists}}
+        return answer | _empty_results(with_rows=with_rows), error
 
 
 def sensor(
@@ -122,42 +126,43 @@ def sensor(
     budget: Budget,
     with_rows: bool,
 ) -> dict[str, Any]:
-    """Judge one table, as it is told."""
+    """Assess one table and return the result for JSON."""
     table = read(path)
-    found = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
-    told: dict[str, Any] = {"file": str(path), "refused": found.refused}
-    told["features_dropped"] = list(found.features_dropped)
-    told |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
-    if found.refused is not None:
-        return told | _nothing(with_rows=with_rows)
-    nothing, rows = None, len(table.vectors)
+    assessed = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
+    answer: dict[str, Any] = {"file": str(path), "refused": assessed.refused}
+    answer["features_dropped"] = list(assessed.features_dropped)
+    answer |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
+    if assessed.refused is not None:
+        return answer | _empty_results(with_rows=with_rows)
+    not_assessed, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
-        nothing = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
-        click.echo(f"{path}: {nothing}", err=True)
-    told |= {
-        "nothing_judged": nothing,
-        "n": found.n,
-        "n_eff": found.n_eff,
-        "phi_pooled": found.phi_pooled,
-        "tail": found.tail,
-        "suspects": [{"row": row} for row in found.suspects],
-        "named": [{"kind": one.kind, "rows": list(one.rows)} for one in found.named],
-        "left_out": [{"row": row, "reason": reason} for row, reason in found.left_out],
-        "limits": dict(found.limits),
-        "default_because": found.default_reason,
-        "count": dict(found.count),
-        "first": dict(found.first),
+        not_assessed = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
+        click.echo(f"{path}: {not_assessed}", err=True)
+    answer |= {
+        "nothing_judged": not_assessed,
+        "n": assessed.n,
+        "n_eff": assessed.n_eff,
+        "phi_pooled": assessed.phi_pooled,
+        "tail": assessed.tail,
+        "suspects": [{"row": row} for row in assessed.suspects],
+        "named": [{"kind": anomaly.kind, "rows": list(anomaly.rows)} for anomaly in assessed.named],
+        "left_out": [{"row": row, "reason": reason} for row, reason in assessed.left_out],
+        "limits": dict(assessed.limits),
+        "default_because": assessed.default_reason,
+        "count": dict(assessed.count),
+        "first": dict(assessed.first),
         "alarm": {
-            "rows": list(found.onsets),
-            "rate_guaranteed": not found.why_not_guaranteed,
-            "why": found.why_not_guaranteed,
-            "limit": found.chart_limit,
+            "rows": list(assessed.onsets),
+            "rate_guaranteed": not assessed.why_not_guaranteed,
+            "why": assessed.why_not_guaranteed,
+            "limit": assessed.chart_limit,
         },
     }
-    return told | ({"rows": _rows(found)} if with_rows else {})
+    return answer | ({"rows": _rows(assessed)} if with_rows else {})
 
 
-def _nothing(*, with_rows: bool) -> dict[str, Any]:
+def _empty_results(*, with_rows: bool) -> dict[str, Any]:
+    """Return empty results."""
     lists = ("suspects", "named", "left_out", *(("rows",) if with_rows else ()))
     return {
         **dict.fromkeys(("nothing_judged", "n", "n_eff", "phi_pooled", "tail")),
@@ -167,50 +172,56 @@ def _nothing(*, with_rows: bool) -> dict[str, Any]:
     }
 
 
-def _rows(found: Assessed) -> list[dict[str, Any]]:
+def _rows(assessed: Assessed) -> list[dict[str, Any]]:
+    """Return a result per row."""
     columns = {
-        "distance_squared": found.distances_squared,
-        "mewma_textbook": found.mewma_textbook,
-        "mcusum_textbook": found.mcusum_textbook,
-        "chart": found.chart,
+        "distance_squared": assessed.distances_squared,
+        "mewma_textbook": assessed.mewma_textbook,
+        "mcusum_textbook": assessed.mcusum_textbook,
+        "chart": assessed.chart,
     }
-    told = {name: [_known(value) for value in column.tolist()] for name, column in columns.items()}
+    rows_by_name = {
+        name: [_finite_or_none(value) for value in column.tolist()] for name, column in columns.items()
+    }
     return [
-        {"row": row, **dict(zip(told, values, strict=True))}
-        for row, values in enumerate(zip(*told.values(), strict=True))
+        {"row": row, **dict(zip(rows_by_name, values, strict=True))}
+        for row, values in enumerate(zip(*rows_by_name.values(), strict=True))
     ]
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
+    """Return a finite value; None otherwise."""
     return value if math.isfinite(value) else None
 
 
-def in_words(told: dict[str, Any], budget: float, sets_per_day: float) -> str:
-    """Tell a sensor to a person."""
-    if told["refused"] is not None:
-        return f"{told['file']}: refused: {told['refused']}"
-    alarm, lines = told["alarm"], [told["file"]]
-    lines.append(f"  columns    {', '.join(told['columns_assessed'])}")
-    for one in told["columns_left_out"]:
-        lines.append(f"  left out   {one['name']!r}: {one['reason']} ({one['cell']!r} in row {one['row']})")
+def in_words(answer: dict[str, Any], budget: float, sets_per_day: float) -> str:
+    """Return the lines about a transducer."""
+    if answer["refused"] is not None:
+        return f"{answer['file']}: refused: {answer['refused']}"
+    alarm, lines = answer["alarm"], [answer["file"]]
+    lines.append(f"  columns    {', '.join(answer['columns_assessed'])}")
+    for item in answer["columns_left_out"]:
+        lines.append(
+            f"  left out   {item['name']!r}: {item['reason']} ({item['cell']!r} in row {item['row']})"
+        )
     lines.append(
-        f"  baseline   {told['n']} sets, worth {told['n_eff']:.0f} independent ones"
-        f" (memory {told['phi_pooled']:.2f}), tails {told['tail']:.2f} x normal"
+        f"  baseline   {answer['n']} sets, worth {answer['n_eff']:.0f} independent ones"
+        f" (memory {answer['phi_pooled']:.2f}), tails {answer['tail']:.2f} x normal"
     )
-    if told["features_dropped"]:
-        lines.append(f"  dropped    {', '.join(told['features_dropped'])}: constant in the baseline")
-    for one in told["named"]:
-        rows = one["rows"]
-        which = f"{rows[0]} to {rows[-1]}" if one["kind"] == "trend" else ", ".join(map(str, rows))
-        lines.append(f"  look at    {one['kind']}, rows {which}")
-    for name, limit in told["limits"].items():
-        first = told["first"][name]
+    if answer["features_dropped"]:
+        lines.append(f"  dropped    {', '.join(answer['features_dropped'])}: constant in the baseline")
+    for item in answer["named"]:
+        rows = item["rows"]
+        row_text = f"{rows[0]} to {rows[-1]}" if item["kind"] == "trend" else ", ".join(map(str, rows))
+        lines.append(f"  look at    {item['kind']}, rows {row_text}")
+    for name, limit in answer["limits"].items():
+        first = answer["first"][name]
         since = "" if first is None else f", first row {first}"
         caveat = f"; {LIMITS[name].caveat}" if LIMITS[name].caveat else ""
-        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {told['count'][name]}{since}{caveat}")
-    lines.append(f"  default    {told['default_because']}")
+        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {answer['count'][name]}{since}{caveat}")
+    lines.append(f"  default    {answer['default_because']}")
     promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
-    kept = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
+    rate_text = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
     raised = ", ".join(map(str, alarm["rows"][:10])) + (" ..." if len(alarm["rows"]) > 10 else "")
-    lines.append(f"  alarms     {f'at rows {raised}' if alarm['rows'] else 'none'} ({kept})")
+    lines.append(f"  alarms     {f'at rows {raised}' if alarm['rows'] else 'none'} ({rate_text})")
     return "\n".join(lines)

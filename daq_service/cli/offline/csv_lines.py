@@ -1,4 +1,4 @@
-"""Lines of a CSV file, whether of a table or of records."""
+"""Read the lines of a CSV file of a table or of waveforms."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ COMMENTS = "comments stand before all other lines: move it there, or take it out
 
 
 class NoTableError(UsageError):
-    """A file is there, but what it holds is no table: an answer of its own beside those of other files."""
+    """A file is not a table; other files are still assessed."""
 
 
 def csv_lines(path: Path) -> tuple[list[str], list[str]]:
-    """Read the comments that a file begins with, and its other lines; empty ones are none.
+    """Read the leading comments of a file and its other lines, without empty ones.
 
     It is in UTF-8, or in UTF-16 as a spreadsheet's "Unicode text". A spreadsheet's line ``sep=;`` is none.
 
@@ -45,5 +45,5 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
 
 
 def is_comment(line: str) -> bool:
-    """Tell whether a line begins as instruments and `numpy.savetxt` begin a comment."""
+    """Return whether a line starts with the comment sign of instruments and `numpy.savetxt`."""
     return line.lstrip().startswith("#")

@@ -1,4 +1,4 @@
-"""``solimon features``: features and flags of records from files, by the service's own extractor."""
+"""``solimon features``: extract features and flags of waveforms in files with the service's extractor."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
-from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_records
+from daq_service.cli.offline.record_file import FileParameters, Record, RecordFile, open_records
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import console_on
 from daq_service.errors import UsageError
 from daq_service.settings.foreign_text import in_one_line
 
 MANY_RECORDS = 2_000
-"""More take longer than a second, so that progress is told."""
+"""Number of records that take more than a second, so that progress is shown."""
 LARGEST_V = 1e30
-"""Above, a value is no volts but an instrument's overload (9.9E37)."""
+"""Larger values are not volts but an instrument's overload (9.9E37)."""
 LOOKED_AT = 50
-"""Records of a file, evenly spread, that say how wide its waves are."""
+"""Number of evenly spread records that the width of waves is measured from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Own:
-    """What a person says of the transducer; None: it is learnt from the records."""
+class TransducerParameters:
+    """Given parameters of the transducer; None: learn_template from the records."""
 
     isw_fwhm_s: float | None = None
     isw_amplitude_v: float | None = None
@@ -60,14 +60,14 @@ def run_features(
     psw_window_s: str | None,
     as_json: bool,
 ) -> None:
-    """Extract every record of every file, and tell."""
-    told = Told(
+    """Extract the features of every record of every file, and print them."""
+    parameters = FileParameters(
         rate_hz=rate_hz,
         pretrigger_s=pretrigger_s,
         volts_per_count=volts_per_count,
         rails=_pair("--rail-counts", "LOW,HIGH", rail_counts),
     )
-    own = Own(
+    transducer = TransducerParameters(
         isw_fwhm_s=isw_fwhm_s,
         isw_amplitude_v=isw_amplitude_v,
         psw_window_s=_pair("--psw-window-s", "FROM,TO", psw_window_s),
@@ -76,7 +76,7 @@ def run_features(
     refused: list[tuple[Path, UsageError]] = []
     for path in files:
         try:
-            shots = features_of_file(path, told, own)
+            shots = features_of_file(path, parameters, transducer)
         except UsageError as error:
             refused.append((path, error))
             continue
@@ -97,6 +97,7 @@ def run_features(
 
 
 def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
+    """Parse two increasing numbers of an option."""
     if text is None:
         return None
     try:
@@ -108,16 +109,18 @@ def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | Non
     return low, high
 
 
-def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
-    """Features of every record of a file, compared with its transducer's own waves.
+def features_of_file(
+    path: Path, parameters: FileParameters, transducer: TransducerParameters
+) -> list[ShotFeatures]:
+    """Extract the features of a file's records, compared with its transducer's own waves.
 
     Raises
     ------
     UsageError
         The file cannot be read, or no wave can be sought in a record of it.
     """
-    file = open_records(path, told)
-    settings = _settings(path, file, own)
+    file = open_records(path, parameters)
+    settings = _settings(path, file, transducer)
     progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
     shots, of_position = [], defaultdict(list)
     any_settings = next(iter(settings.values()))
@@ -142,7 +145,7 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
         )
     for position, indices in of_position.items():
         width_s = settings.get(position, any_settings).isw_fwhm_s
-        template = _template(own, learn_template([shots[index] for index in indices]), width_s)
+        template = _template(transducer, learn_template([shots[index] for index in indices]), width_s)
         if template is not None:
             at = f"{path}{f', {position}' if position else ''}"
             click.echo(f"{at}: {_in_words(template)}", err=True)
@@ -152,37 +155,41 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
     return shots
 
 
-def _settings(path: Path, file: RecordFile, own: Own) -> dict[str, ExtractionSettings]:
-    """By position: windows and widths as told, else a width that the records show."""
+def _settings(
+    path: Path, file: RecordFile, transducer: TransducerParameters
+) -> dict[str, ExtractionSettings]:
+    """Return extraction settings by position: given values, or a width measured from the records."""
     widths_s: dict[str, list[float]] = defaultdict(list)
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
-        if own.isw_fwhm_s is None:
+        if transducer.isw_fwhm_s is None:
             width_s = first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
     windows = (
         {}
-        if own.psw_window_s is None
-        else dict(zip(("psw_earliest_s", "psw_latest_s"), own.psw_window_s, strict=True))
+        if transducer.psw_window_s is None
+        else dict(zip(("psw_earliest_s", "psw_latest_s"), transducer.psw_window_s, strict=True))
     )
     try:
         return {
             position: ExtractionSettings(**windows, **({} if width is None else {"isw_fwhm_s": width}))
             for position, found in widths_s.items()
-            for width in [own.isw_fwhm_s if own.isw_fwhm_s is not None else _median(found)]
+            for width in [transducer.isw_fwhm_s if transducer.isw_fwhm_s is not None else _median(found)]
         }
     except InvalidInputError as error:
         raise UsageError(f"{path}: {error}") from error
 
 
 def _median(values: Sequence[float]) -> float | None:
+    """Return the median of the positive values; None if there is none."""
     known = [value for value in values if value > 0.0]
     return float(np.median(known)) if known else None
 
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
+    """Extract the features of a record; a record with invalid values is flagged."""
     if not (np.abs(record.volts_v) < LARGEST_V).all():
         return with_flags(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
@@ -201,19 +208,23 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
         ) from error
 
 
-def _template(own: Own, found: Template | None, width_s: float) -> Template | None:
-    """Put what is told before what was learnt; the records were sought with a width in any case."""
-    told: dict[str, Any] = {
+def _template(transducer: TransducerParameters, found: Template | None, width_s: float) -> Template | None:
+    """Combine given parameters and learn_template ones; given ones have priority."""
+    given: dict[str, Any] = {
         name: value
-        for name, value in (("isw_fwhm_s", own.isw_fwhm_s), ("isw_amplitude_v", own.isw_amplitude_v))
+        for name, value in (
+            ("isw_fwhm_s", transducer.isw_fwhm_s),
+            ("isw_amplitude_v", transducer.isw_amplitude_v),
+        )
         if value is not None
     }
     if found is None:
-        return None if own.isw_amplitude_v is None else Template(**{"isw_fwhm_s": width_s} | told)
-    return replace(found, **told)
+        return None if transducer.isw_amplitude_v is None else Template(**{"isw_fwhm_s": width_s} | given)
+    return replace(found, **given)
 
 
 def _in_words(template: Template) -> str:
+    """Describe the template that the records are compared with."""
     early = template.earliest_tof_s
     since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
     width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v
@@ -221,7 +232,7 @@ def _in_words(template: Template) -> str:
 
 
 def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
-    """Give a shot as JSON tells it: null where something is not available."""
+    """Return a shot for JSON: null for missing values."""
     return {
         "flags": list(shot.flags),
         "quality": shot.quality,
@@ -231,10 +242,12 @@ def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
 
 
 def _known(value: float) -> float | None:
+    """Return a finite value; None otherwise."""
     return value if math.isfinite(value) else None
 
 
 def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
+    """Print a table of the features of a file."""
     from rich.table import Table
 
     table = Table(title=f"{in_one_line(str(file))}, extractor {EXTRACTOR_VERSION}")
@@ -254,7 +267,8 @@ def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _with_sd(value: float | None, sd: float | None, unit: float, digits: int) -> str:
+    """Format a value with its standard deviation."""
     if value is None:
         return "-"
-    told = f"{unit * value:.{digits}f}"
-    return told if sd is None else f"{told} ({unit * sd:.{digits}f})"
+    text = f"{unit * value:.{digits}f}"
+    return text if sd is None else f"{text} ({unit * sd:.{digits}f})"

@@ -1,4 +1,4 @@
-"""``solimon assess --fleet``: many sensors of one kind together, a table each, rows of the same times."""
+"""``solimon assess --fleet``: assess many transducers of one kind together, with rows of the same times."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ from daq_service.cli.offline.table_file import TableFile
 from daq_service.errors import UsageError
 
 DOUBTED_BY_CHANCE = 0.01
-"""Chance that as many healthy baselines are doubted, below which it is none."""
+"""Probability of this many questionable healthy baselines, below which it is not chance."""
 FARTHEST_SD = 1e30
-"""Of a set from its baseline; float32 holds no more."""
+"""Maximum distance of a set from its baseline; limit of float32."""
 Read = Callable[[Path], TableFile]
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Beside:
-    """A sensor judged beside the fleet.
+class IndividualResult:
+    """Result of a transducer without the deviation that the fleet shares.
 
     Attributes
     ----------
     chances
-        That a healthy one's chart rises as high, shape (rows,); one before its first judged row.
+        That a healthy one's chart rises as high, shape (rows,); one before its first assessed row.
     alarms
         Whether its chart alarms within the budget of a sensor.
     why_not
@@ -65,7 +65,7 @@ class Beside:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Deviations:
-    """What a table gives to the fleet.
+    """Deviations of a table's sets from its baseline.
 
     Attributes
     ----------
@@ -80,30 +80,32 @@ class Deviations:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Usual:
-    """What baselines of the fleet have in common: memory along directions, falling, and kurtosis."""
+    """Common properties of the fleet's baselines: autocorrelation along directions, and kurtosis."""
 
     phi: FloatArray
     tails: float
 
 
 def deviations(path: Path, read: Read) -> Deviations:
-    """Read a table for the first time."""
+    """Read a table and return its deviations."""
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
     z = np.clip(z, -FARTHEST_SD, FARTHEST_SD).astype(np.float32)
     return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z)
 
 
-def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int) -> Beside:
-    """Judge a sensor without what the fleet shares, with at least the memory and tails usual there."""
+def assess_individually(
+    path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int
+) -> IndividualResult:
+    """Assess a transducer without the shared deviation, with at least the usual autocorrelation and tails."""
     table = read(path)
     _, sd = standardized(table.vectors, table.in_baseline)
     vectors = table.vectors - sd * shared[: len(table.vectors)]
     found = assess(vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi)
     if found.refused is not None:
-        return Beside(refused=found.refused, chances=np.ones(len(vectors)))
+        return IndividualResult(refused=found.refused, chances=np.ones(len(vectors)))
     p = len(table.names) - len(found.features_dropped)
-    return Beside(
+    return IndividualResult(
         refused=None,
         alarms=bool(found.onsets),
         why_not=found.why_not_guaranteed,
@@ -112,6 +114,7 @@ def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Bud
 
 
 def _after(table: Deviations) -> int:
+    """Return the first row after the baseline."""
     healthy = np.flatnonzero(table.in_baseline)
     return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
@@ -122,9 +125,9 @@ def assess_fleet(
     mapped: Map,
     budget: Budget,
     rate: float,
-    alone: Sequence[Sequence[int]],
+    own_alarms: Sequence[Sequence[int]],
 ) -> dict[str, Any]:
-    """Judge all tables together, as it is told.
+    """Assess all tables together and return the result for JSON.
 
     Parameters
     ----------
@@ -148,50 +151,52 @@ def assess_fleet(
     baselines = [_alone(table, shared) for table in first]
     usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
     period = max(1, *(len(table.in_sd) - _after(table) for table in first))
-    one = partial(beside, read=read, shared=shared, usual=usual, budget=budget, period=period)
-    found: list[Beside] = list(mapped(one, paths))
-    judged = [k for k, sensor in enumerate(found) if sensor.refused is None]
-    rows = raised_at(_held([found[k].chances for k in judged], n_rows), rate) if judged else []
-    raised = {k: row for k, row in zip(judged, rows, strict=True) if row is not None}
+    assess_table = partial(
+        assess_individually, read=read, shared=shared, usual=usual, budget=budget, period=period
+    )
+    results: list[IndividualResult] = list(mapped(assess_table, paths))
+    assessed = [k for k, sensor in enumerate(results) if sensor.refused is None]
+    rows = raised_at(_held([results[k].chances for k in assessed], n_rows), rate) if assessed else []
+    raised = {k: row for k, row in zip(assessed, rows, strict=True) if row is not None}
     causes = find_shared_changes(shared, len(paths), float(usual.phi.max()), after)
     errors = mean_squared_correlation(baselines)
     gains = [sensor_gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
     n = int(np.median([table.in_baseline.sum() for table in first]))
-    kept = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
-    why = _why_not([found[k].why_not for k in judged], len(paths), kept)
-    kept_back = [k for k in judged if alone[k] and k not in raised]
-    explained = [k for k in kept_back if not found[k].alarms and _within(alone[k], causes)]
+    kept_sd = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
+    why = _why_not([results[k].why_not for k in assessed], len(paths), kept_sd)
+    kept_back = [k for k in assessed if own_alarms[k] and k not in raised]
+    explained = [k for k in kept_back if not results[k].alarms and _within(own_alarms[k], causes)]
     return {
         "sensors": len(paths),
-        "judged": len(judged),
+        "judged": len(assessed),
         "false_discovery_rate": rate,
         "fdr_guaranteed": not why,
         "why": why,
         "beside_the_median": len(paths) >= FEWEST_SENSORS,
         "raised": [
-            {"file": str(paths[k]), "row": row, "chance": float(found[k].chances[-1])}
+            {"file": str(paths[k]), "row": row, "chance": float(results[k].chances[-1])}
             for k, row in raised.items()
         ],
         "explained": [str(paths[k]) for k in explained],
         "kept_back": len(kept_back) - len(explained),
-        "shared": [_told(cause, names) for cause in causes],
+        "shared": [_shared_as_object(cause, names) for cause in causes],
     }
 
 
 def _why_not(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
-    """Say why the false discovery rate is not promised; empty: it is.
+    """Return why the false discovery rate is not verified; empty if it is.
 
     A healthy baseline is doubted by chance in `SLOW_RATE` of either test; only more than that counts.
     """
     if sensors < FEWEST_SENSORS:
         return f"fewer than {FEWEST_SENSORS} sensors: what they share is not taken out"
-    doubted = [told for told in of_sensors if told]
+    reasons = [reason for reason in of_sensors if reason]
     if (
-        doubted
-        and scipy.stats.binom.sf(len(doubted) - 1, len(of_sensors), 2.0 * SLOW_RATE) < DOUBTED_BY_CHANCE
+        reasons
+        and scipy.stats.binom.sf(len(reasons) - 1, len(of_sensors), 2.0 * SLOW_RATE) < DOUBTED_BY_CHANCE
     ):
-        (told, _), *_ = Counter(doubted).most_common(1)
-        return f"{len(doubted)} of {len(of_sensors)} sensors: {told}"
+        (reason, _), *_ = Counter(reasons).most_common(1)
+        return f"{len(reasons)} of {len(of_sensors)} sensors: {reason}"
     if kept_sd > SHARED_SD:
         return (
             f"what all share moves them unlike: some keep {kept_sd:.1f} SD of it, which their charts take "
@@ -201,15 +206,17 @@ def _why_not(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
 
 
 def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
-    """Baseline of a sensor without what all share."""
+    """Return the baseline of a transducer without the shared deviation."""
     return np.asarray((table.in_sd - shared[: len(table.in_sd)])[table.in_baseline])
 
 
 def _within(rows: Sequence[int], causes: Sequence[SharedChange]) -> bool:
+    """Return whether a row is within a shared deviation."""
     return any(cause.first_row <= row <= cause.last_row for row in rows for cause in causes)
 
 
 def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
+    """Stack tables to one array; missing rows are NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
         stacked[k, : len(part)] = part
@@ -217,11 +224,12 @@ def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
 
 
 def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
-    """Chances to the last row of the longest table: a table that ends earlier keeps its last."""
+    """Stack chances; a table that ends earlier keeps its last value."""
     return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
 
 
-def _told(cause: SharedChange, names: Sequence[str]) -> dict[str, Any]:
+def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, Any]:
+    """Return a shared deviation for JSON."""
     return {
         "first_row": cause.first_row,
         "last_row": cause.last_row,
@@ -229,23 +237,28 @@ def _told(cause: SharedChange, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def fleet_in_words(told: dict[str, Any]) -> str:
-    """Tell the fleet to a person."""
-    sensors = f"fleet of {told['sensors']} sensors, {told['judged']} judged"
-    raised = f"{len(told['raised'])} raised, of which at most {told['false_discovery_rate']:.0%} are false"
-    promise = " on average" if told["fdr_guaranteed"] else f" on average, not promised: {told['why']}"
+def fleet_in_words(answer: dict[str, Any]) -> str:
+    """Return the lines about the fleet."""
+    sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
+    raised = (
+        f"{len(answer['raised'])} raised, of which at most {answer['false_discovery_rate']:.0%} are false"
+    )
+    promise = " on average" if answer["fdr_guaranteed"] else f" on average, not promised: {answer['why']}"
     lines = [f"{sensors}: {raised}{promise}"]
-    lines += [f"  look at    {one['file']}, since row {one['row']}" for one in told["raised"]]
-    for cause in told["shared"]:
+    lines += [
+        f"  look at    {sensor_raised['file']}, since row {sensor_raised['row']}"
+        for sensor_raised in answer["raised"]
+    ]
+    for cause in answer["shared"]:
         sizes = ", ".join(f"{name} {size:+.1f} SD" for name, size in cause["largest_sd"].items())
         lines.append(
             f"  all move   rows {cause['first_row']} to {cause['last_row']} ({sizes}): weather, process or "
             "supply, or a wall that goes everywhere; look at the temperature"
         )
-    if told["explained"]:
-        lines.append(f"  explained  alarms of {len(told['explained'])} sensors by what all share")
-    if told["kept_back"]:
+    if answer["explained"]:
+        lines.append(f"  explained  alarms of {len(answer['explained'])} sensors by what all share")
+    if answer["kept_back"]:
         lines.append(
-            f"  kept back  alarms of {told['kept_back']} sensors: among so many, chance makes them too"
+            f"  kept back  alarms of {answer['kept_back']} sensors: among so many, chance makes them too"
         )
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Records from a file of other people: waveforms as volts, one after the other, whatever the format."""
+"""Read waveforms in volts from files of various formats."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from hardware_drivers.playback.parameters import TdmsMapping
 
 PAPER_RATE_HZ = 10e6
 PAPER_PRETRIGGER_S = 100e-6
-"""What a `.npy` or `.csv` file cannot tell is the paper's where nobody tells it."""
+"""Defaults for `.npy` and `.csv` files: values of the paper."""
 FORMATS = ".npy, .csv, .h5 (a set of solimon's) or .tdms"
 SEPARATORS = ";\t, "
-"""Of a line of CSV: the first of these that is in it, since a comma may also be decimal beside the others."""
+"""Separators of CSV: the first one in a line counts, since a comma may also be a decimal mark."""
 WHOLE_NUMBER = re.compile(r"\s*[+-]?\d+\s*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
-    """What a person says of the files; what a file says of itself goes before it.
+class FileParameters:
+    """Given parameters of files; a file's own parameters have priority.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Told:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Record:
-    """One record; ``position`` is the transducer's, empty where the file does not tell."""
+    """One waveform; ``position`` of the transducer, empty if unknown."""
 
     volts_v: NDArray[np.float64]
     rate_hz: float
@@ -61,14 +61,14 @@ class Record:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordFile:
-    """How many records a file has; ``records(k)`` reads every k-th, one by one."""
+    """Number of records of a file; ``records(k)`` reads every k-th, one by one."""
 
     n: int
     records: Callable[[int], Iterator[Record]]
 
 
-def open_records(path: Path, told: Told) -> RecordFile:
-    """Open a file of records.
+def open_records(path: Path, parameters: FileParameters) -> RecordFile:
+    """Open a file of waveforms.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def open_records(path: Path, told: Told) -> RecordFile:
             f"{path}: records are read from {FORMATS}, not {path.suffix or 'one without ending'}"
         )
     try:
-        found = reader(path, told)
+        found = reader(path, parameters)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
     except ArchiveError as error:
@@ -95,26 +95,28 @@ def open_records(path: Path, told: Told) -> RecordFile:
     return found
 
 
-def _npy(path: Path, told: Told) -> RecordFile:
+def _npy(path: Path, parameters: FileParameters) -> RecordFile:
+    """Open a `.npy` file."""
     try:
         with np.errstate(over="ignore"):  # of a claimed shape
             array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
     if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
-        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise UsageError(f"{path}: {what}; it must be numbers, records x samples, or one record")
+        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise UsageError(f"{path}: {contents}; it must be numbers, records x samples, or one record")
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")
     counts = array.dtype.kind in "iu"
     limits = np.iinfo(array.dtype) if counts else None
     ends = None if limits is None else (float(limits.min), float(limits.max))
-    scaled = _scaling(path, told, counts=counts, ends=ends)
+    scaled = _scaling(path, parameters, counts=counts, ends=ends)
     return RecordFile(n=len(table), records=lambda every: map(scaled, table[::every]))
 
 
-def _csv(path: Path, told: Told) -> RecordFile:
+def _csv(path: Path, parameters: FileParameters) -> RecordFile:
+    """Open a CSV file."""
     _, lines = csv_lines(path)
     names = _cells(lines[0]) if lines else []
     numbered = [str(k) for k in range(len(names))]
@@ -122,7 +124,7 @@ def _csv(path: Path, told: Told) -> RecordFile:
     if lines and (indexed or names == numbered or not any(map(_is_number, names))):
         del lines[0]
     counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _cells(lines[0])))
-    scaled = _scaling(path, told, counts=counts, ends=None)
+    scaled = _scaling(path, parameters, counts=counts, ends=None)
 
     def records(every: int) -> Iterator[Record]:
         for number, line in list(enumerate(lines))[::every]:
@@ -137,12 +139,14 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
 
 def _cells(line: str) -> list[str]:
+    """Split a line of CSV."""
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
     cells = line.strip().rstrip(separator).split(None if separator == " " else separator)
     return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
 
 
 def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number."""
     try:
         float(cell)
     except ValueError:
@@ -151,25 +155,25 @@ def _is_number(cell: str) -> bool:
 
 
 def _scaling(
-    path: Path, told: Told, *, counts: bool, ends: tuple[float, float] | None
+    path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
 ) -> Callable[[NDArray[Any]], Record]:
-    """How values of a file that says nothing of itself become a record."""
-    if counts and told.volts_per_count is None:
+    """Return the function that converts values of a file without metadata to a record."""
+    if counts and parameters.volts_per_count is None:
         raise UsageError(
             f"{path} holds whole numbers, which are counts of an ADC: give --volts-per-count, and with it "
             "--rail-counts LOW,HIGH where the ADC has fewer bits than the numbers"
         )
-    if told.rails is not None and told.volts_per_count is None:
+    if parameters.rails is not None and parameters.volts_per_count is None:
         raise UsageError(f"--rail-counts are counts, yet {path} holds volts: give --volts-per-count too")
-    rails = told.rails or ends
-    rate_hz = told.rate_hz or PAPER_RATE_HZ
-    pretrigger_s = PAPER_PRETRIGGER_S if told.pretrigger_s is None else told.pretrigger_s
+    rails = parameters.rails or ends
+    rate_hz = parameters.rate_hz or PAPER_RATE_HZ
+    pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
     def scaled(values: NDArray[Any]) -> Record:
         volts = values.astype(np.float64)
-        clipped = _beyond(volts, rails)
-        if told.volts_per_count is not None:
-            volts *= told.volts_per_count
+        clipped = _is_clipped(volts, rails)
+        if parameters.volts_per_count is not None:
+            volts *= parameters.volts_per_count
         return Record(
             volts_v=volts,
             rate_hz=rate_hz,
@@ -180,7 +184,8 @@ def _scaling(
     return scaled
 
 
-def _hdf5(path: Path, _: Told) -> RecordFile:
+def _hdf5(path: Path, _: FileParameters) -> RecordFile:
+    """Open a set's file."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
     return RecordFile(
         n=len(shots),
@@ -189,6 +194,7 @@ def _hdf5(path: Path, _: Told) -> RecordFile:
 
 
 def _of_waveform(waveform: Waveform, position: str) -> Record:
+    """Return the record of a waveform."""
     return Record(
         volts_v=waveform.volts(),
         rate_hz=waveform.sample_rate_hz,
@@ -198,19 +204,20 @@ def _of_waveform(waveform: Waveform, position: str) -> Record:
     )
 
 
-def _tdms(path: Path, told: Told) -> RecordFile:
+def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
+    """Open a TDMS file."""
     from hardware_drivers.playback.tdms_records import channel_records
 
     mapping = TdmsMapping(
-        sample_rate_hz=told.rate_hz,
-        coefficients_v=() if told.volts_per_count is None else (0.0, told.volts_per_count),
+        sample_rate_hz=parameters.rate_hz,
+        coefficients_v=() if parameters.volts_per_count is None else (0.0, parameters.volts_per_count),
     )
     try:
         channels = channel_records(
             path,
             mapping,
-            pretrigger_s=told.pretrigger_s,
-            rails_marked=told.rails is not None,
+            pretrigger_s=parameters.pretrigger_s,
+            rails_marked=parameters.rails is not None,
             unitless_are_volts=True,
         )
     except ConfigurationError as error:
@@ -218,7 +225,7 @@ def _tdms(path: Path, told: Told) -> RecordFile:
 
     def each() -> Iterator[Record]:
         for one in channels:
-            ends = told.rails
+            ends = parameters.rails
             if ends is None and one.conversion.polynomial is None:
                 ends = one.conversion.calibration.full_scale_counts
             for values in one.values():
@@ -226,12 +233,13 @@ def _tdms(path: Path, told: Told) -> RecordFile:
                     volts_v=one.volts(values),
                     rate_hz=one.sample_rate_hz,
                     pretrigger_samples=one.pretrigger_samples,
-                    clipped=_beyond(values, ends),
+                    clipped=_is_clipped(values, ends),
                     position=one.channel.group,
                 )
 
     return RecordFile(n=sum(one.n for one in channels), records=lambda every: islice(each(), 0, None, every))
 
 
-def _beyond(values: NDArray[Any], ends: tuple[float, float] | None) -> bool:
+def _is_clipped(values: NDArray[Any], ends: tuple[float, float] | None) -> bool:
+    """Return whether values reach the ends of the range."""
     return ends is not None and bool(values.min() <= ends[0] or values.max() >= ends[1])

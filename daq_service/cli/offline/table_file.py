@@ -1,4 +1,4 @@
-"""A table of features from a file: a row a set in the order of time, a column a feature."""
+"""Read a table of features from a file: a row per set in the order of time, a column per feature."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from daq_service.errors import UsageError
 MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
 SEPARATORS = ";\t,"
-"""Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
+"""Separators of CSV: the first one in the first line counts, since a comma may also be a decimal mark."""
 MISSING = re.compile(r"|n/?a|nan|nil|null|none|-|[+-]?ol|ovld|overload", re.IGNORECASE)
-"""What stands in a cell without a value; the last ones are an instrument's overload."""
+"""Texts of a cell without a value; the last ones are an instrument's overload."""
 OVERLOAD, NO_READINGS = 1e38, (-999.0, -9999.0, -99999.0)
-"""Numbers that stand for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
+"""Numbers for an overload, of either sign (SCPI: 9.9E37, 9.91E37), and for no reading."""
 MOST_CELLS = 100_000_000
-"""Of a table whose size stands in its header: 800 MB of numbers."""
+"""Maximum size of a table according to its header: 800 MB of numbers."""
 NAMES_SHOWN = 12
 ROWS_BY_NAME = re.compile(
     r"unnamed: \d+|__index_level_\d+__|level_\d+|index|idx|#|no|nr|number|(.*[_ ])?(id|uid|uuid|guid)"
@@ -48,7 +48,7 @@ TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableFile:
-    """What a file holds.
+    """Contents of a file.
 
     Attributes
     ----------
@@ -104,30 +104,34 @@ def read_table(
                 cell = _no_number(columns[name], decimal)
                 at = f"in row {list(columns[name]).index(cell)}: write the number alone, or choose others"
                 raise UsageError(f"{path}: column {name!r} holds {cell!r}, no number, {at}")
-    kept = {name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)}
-    if not kept:
+    columns_of_numbers = {
+        name: v for name, v in numbers.items() if name and v is not None and not reasons.get(name)
+    }
+    if not columns_of_numbers:
         first = ", ".join(repr(columns[name][0]) for name in chosen[:NAMES_SHOWN])
         raise NoTableError(
             f"{path}: no column of numbers; it has {_listed(columns)}, with {first} in row 0: a number has a "
             "decimal point, or a comma where semicolons or tabs separate, and none between thousands"
         )
     for name in chosen:
-        if not isinstance(columns[name], np.ndarray) and (name in kept or reasons[name] == NO_NUMBERS):
+        if not isinstance(columns[name], np.ndarray) and (
+            name in columns_of_numbers or reasons[name] == NO_NUMBERS
+        ):
             _refuse_nearly(path, name, columns[name], decimal)
-    vectors = np.stack(list(kept.values()), axis=1)
+    vectors = np.stack(list(columns_of_numbers.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
     else:
         healthy = _equal(columns[baseline_where[0]], baseline_where[1], decimal)
         if not healthy.any():
-            there = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
-            raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {there}")
+            values = _listed(dict.fromkeys(map(str, columns[baseline_where[0]])))
+            raise NoTableError(f"{path}: no row has {'='.join(baseline_where)}; there is {values}")
     left_out = tuple(_left_out(name, columns[name], why) for name, why in reasons.items() if why)
-    return TableFile(vectors=vectors, names=tuple(kept), in_baseline=healthy, left_out=left_out)
+    return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
 def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
-    """Say why a column is no feature; empty: it is one, or it has neither name nor value."""
+    """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
     if ROWS_BY_NAME.fullmatch(re.split(r"[\[(]", name)[0].strip().lower().rstrip(".:")):
@@ -143,17 +147,18 @@ def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
 
 
 def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
+    """Describe a column that is no feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
 def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
-    """Refuse a column of numbers with something else in a cell, or with two decimal marks."""
+    """Raise an error for a column of numbers with other text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
     nearly = [row for row, cell in known.items() if _is_nearly(cell, decimal, mixed=mixed)]
-    words = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
-    if nearly and 2 * words <= len(known):
+    n_texts = sum(_number(cell, decimal) is None for cell in known.values()) - len(nearly)
+    if nearly and 2 * n_texts <= len(known):
         raise NoTableError(
             f"{path}: column {name!r} holds {str(column[nearly[0]])!r} in row {nearly[0]}, nearly a number: "
             "write the number alone, with no mark between thousands, or choose other columns by --features"
@@ -161,13 +166,14 @@ def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
 
 
 def _is_nearly(cell: Any, decimal: str, *, mixed: bool) -> bool:
+    """Return whether a text looks like a number with other characters."""
     if not isinstance(cell, str) or _number(cell, decimal) is not None:
         return isinstance(cell, timedelta) or (mixed and THOUSANDS.fullmatch(str(cell)) is not None)
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
 def _columns(path: Path) -> tuple[dict[str, Any], str]:
-    """Every column by its name, as the file has it, and what may be a decimal point in its texts."""
+    """Return every column by its name, and the decimal mark of its texts."""
     reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
     if reader is None:
         ending = path.suffix or "one without ending"
@@ -184,6 +190,7 @@ def _columns(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a CSV file and its decimal mark."""
     comments, lines = csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
     cells = partial(csv.reader, delimiter=separator, skipinitialspace=True)
@@ -217,7 +224,7 @@ def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _trim(header: list[str], body: list[list[str]]) -> None:
-    """Take away what separators at the ends of lines, and lines of separators at the end, add."""
+    """Remove empty cells at the ends of lines, and empty lines at the end."""
     while body and not any(map(str.strip, body[-1])):
         body.pop()
     width = max((k for row in (header, *body) for k, cell in enumerate(row, 1) if cell.strip()), default=0)
@@ -226,21 +233,21 @@ def _trim(header: list[str], body: list[list[str]]) -> None:
 
 
 def _without_units(path: Path, header: list[str], body: list[list[str]], decimal: str) -> list[list[str]]:
-    """Leave out a row of units below the names; one of names, below merged cells, is refused."""
+    """Remove a row of units below the names; raise an error for a second row of names."""
     first, second = (*body, [], [])[:2]
     if not len(header) == len(first) > 0 or any(is_comment(one) or _is_number(one, decimal) for one in first):
         return body
     cells = enumerate(zip(first, second, strict=False))
-    words = [k for k, (cell, below) in cells if _is_number(below, decimal) and not _is_missing(cell)]
-    if any(not header[k] for k in words):
+    unit_columns = [k for k, (cell, below) in cells if _is_number(below, decimal) and not _is_missing(cell)]
+    if any(not header[k] for k in unit_columns):
         raise NoTableError(
             f"{path}: row 0 ({','.join(first)}) names columns without a name: keep one such row"
         )
-    return body[1:] if words else body
+    return body[1:] if unit_columns else body
 
 
 def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tuple[list[str], list[list[str]]]:
-    """Give names of columns and the rows that are none: the first line names them, or the last comment."""
+    """Return names of columns and the data rows: names from the first line, or the last comment."""
     header = [cell.strip() for cell in rows[0]]
     numbered = [str(k) for k in range(len(header))]
     numbers = [_is_number(cell, decimal) for cell in header]
@@ -253,12 +260,14 @@ def _named(last_comment: list[str], rows: list[list[str]], decimal: str) -> tupl
 
 
 def _require_names_once(path: Path, names: Sequence[str]) -> None:
+    """Raise an error for repeated names of columns."""
     named = [name for name in names if name]
     if len(set(named)) < len(named):
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
 def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a Parquet file."""
     from daq_service.web.tables.formats import pyarrow
 
     arrow = pyarrow()
@@ -284,39 +293,43 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def _of_npy(path: Path) -> tuple[dict[str, Any], str]:
+    """Read the columns of a `.npy` file."""
     try:
         with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
             array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
-        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise NoTableError(f"{path}: {what}; it must be numbers, rows x features")
+        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise NoTableError(f"{path}: {contents}; it must be numbers, rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
 def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
-    """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
+    """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _without_overload(column.astype(np.float64))
-    told = [None if _is_missing(cell) else cell for cell in column]
-    values = [_number(cell, decimal) for cell in told]
-    strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
-    if 2 * strange > len(told) - told.count(None):
+    cells = [None if _is_missing(cell) else cell for cell in column]
+    values = [_number(cell, decimal) for cell in cells]
+    n_not_numbers = sum(value is None and cell is not None for value, cell in zip(values, cells, strict=True))
+    if 2 * n_not_numbers > len(cells) - cells.count(None):
         return None
     return _without_overload(np.array([np.nan if value is None else value for value in values]))
 
 
 def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Replace values for overload and missing readings by NaN."""
     over = np.abs(np.abs(values) - OVERLOAD) < 0.011 * OVERLOAD
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
 def _is_missing(cell: Any) -> bool:
+    """Return whether a cell has no value."""
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
 def _number(cell: Any, decimal: str) -> float | None:
+    """Convert a cell to a number; None if it is not one."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
     try:
@@ -326,15 +339,17 @@ def _number(cell: Any, decimal: str) -> float | None:
 
 
 def _is_number(cell: str, decimal: str) -> bool:
+    """Return whether a cell is a number."""
     return _number(cell, decimal) is not None
 
 
 def _no_number(column: Sequence[Any], decimal: str) -> Any:
+    """Return the first cell that is not a number."""
     return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
 
 
 def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
-    """Rows whose cell is a value, as text or as a number."""
+    """Return the rows whose cell equals a value, as text or as a number."""
     wanted = _numbers([value], decimal)
     numbers = _numbers(column, decimal)
     if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
@@ -343,5 +358,6 @@ def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
 
 
 def _listed(names: Any) -> str:
-    told = list(map(str, names))
-    return ", ".join(told[:NAMES_SHOWN]) + (f" ... ({len(told)})" if len(told) > NAMES_SHOWN else "")
+    """Join names, shortened if there are many."""
+    texts = list(map(str, names))
+    return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

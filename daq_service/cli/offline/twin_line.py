@@ -1,8 +1,8 @@
-"""The twin's experiment from shot to verdict with nothing between: no recorder, no archive, no clock.
+"""Run the twin's experiment from shot to assessment without recorder, archive and clock.
 
-For studies over many seeds. Shots, features, quality gate, mean of the set and verdict are those of the
-recorder's line, by the same functions, so that the verdicts are the same to the last bit; what is left out is
-everything that keeps them. Strikes are tried once, and a transducer that would retire ends its run.
+For studies over many seeds. Shots, features, quality check, mean of the set and assessment use the functions
+of the recorder, so results are equal to the last bit; nothing is stored. Strikes are tried once, and a
+transducer that would be disabled ends its run.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ class AssessedSet:
 
     @property
     def raised(self) -> frozenset[str]:
-        """Kinds of the alarms that stand."""
+        """Kinds of the active alarms."""
         return frozenset(one.kind for one in self.position_result.conditions if one.present)
 
 
 def specimen_of(settings: Settings) -> Specimen:
-    """Build the twin of a configuration; `assessed_sets` of several positions share it."""
+    """Build the twin of a configuration; `assessed_sets` of multiple positions share it."""
     return build_specimen(settings.twin, transducers=transducers_of(settings), probed_thickness_m={})
 
 
 def assessed_sets(
     settings: Settings, position: str, specimen: Specimen | None = None
 ) -> Iterator[AssessedSet]:
-    """Strike and judge every planned set of a transducer, until the plan or its wall ends.
+    """Strike and assess every scheduled set of a transducer, until the schedule or its wall ends.
 
     Raises
     ------

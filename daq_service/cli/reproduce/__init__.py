@@ -1,1 +1,1 @@
-"""``solimon reproduce``: the paper's figures and tables from one test and the models, with the deviations."""
+"""``solimon reproduce``: reproduce the paper's figures and tables and list the deviations."""

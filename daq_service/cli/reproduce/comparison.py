@@ -1,4 +1,4 @@
-"""The paper's value, ours, the deviation and its cause, row by row."""
+"""Compare the paper's values with ours: deviation and cause, row by row."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOT_AVAILABLE = "not available"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One quantity, side by side.
+    """One quantity of the paper and of this reproduction.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Row:
 
     @property
     def deviation_shown(self) -> str:
-        """For people."""
+        """Text of the deviation."""
         if self.deviation is None:
             return "-"
         if _vanishes(self.deviation, self.paper):
@@ -53,7 +53,7 @@ class Row:
 
 
 def compare(item: str, found: Mapping[str, Found], *, origin: str) -> list[Row]:
-    """Rows of one item in the paper's order; a quantity that was not found says so and why.
+    """Return the rows of one item in the paper's order, with a reason for missing quantities.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def compare(item: str, found: Mapping[str, Found], *, origin: str) -> list[Row]:
 
 
 def tally(rows: Sequence[Row]) -> dict[str, int]:
-    """Count how the paper's values fare: agree (to rounding), deviate, words only, not available."""
+    """Count the paper's values by result: agree (to rounding), deviate, words only, not available."""
     counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
     for row in rows:
         if row.ours is None:
@@ -80,11 +80,12 @@ def tally(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def not_made(item: str, reason: str) -> list[Row]:
-    """Rows of an item that could not be made."""
+    """Return the rows of an item that could not be computed."""
     return [_row(value, missing(reason), origin="shipped") for value in values_of(item)]
 
 
 def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
+    """Compare one value of the paper with ours."""
     deviation = None if ours.value is None or value.value is None else ours.value - value.value
     relative = None
     if deviation is not None and value.value and value.unit != "%":
@@ -108,24 +109,30 @@ def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
 
 
 def _vanishes(deviation: float, paper: float | None) -> bool:
-    """Nothing but rounding of floats is left."""
+    """Return whether a deviation is only rounding of floats."""
     return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
 def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+    """Return the cause of a deviation; empty if the values agree."""
     cause = "" if ours.value is None else cause_of(value, origin=origin)
     return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _paper_shown(value: PaperValue) -> str:
+    """Format a value of the paper."""
     number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
-    sign = "±" if value.said.startswith("+-") else ""
-    words = value.said.removeprefix("+-").strip("; ")
-    return f"{sign}{number} ({words})" if number and words else f"{sign}{number}" or words
+    sign = "±" if value.wording.startswith("+-") else ""
+    qualification = value.wording.removeprefix("+-").strip("; ")
+    return (
+        f"{sign}{number} ({qualification})"
+        if number and qualification
+        else f"{sign}{number}" or qualification
+    )
 
 
 def _shown(number: float, value: PaperValue) -> str:
-    """Ours with one digit more than the print; whole numbers as such where the print is whole."""
+    """Format our value with one digit more than the paper's; integers if the paper's is one."""
     decimals = value.decimals + 1 if value.value is not None else 2
     if value.value is not None and value.decimals == 0 and float(number).is_integer():
         decimals = 0

@@ -22,7 +22,7 @@ READ_WITHIN_H = 5.0
 
 
 def draw_fig14(material: item.Material) -> item.Product:
-    """Mahalanobis squared distance over the test."""
+    """Draw the Mahalanobis squared distance over the test."""
     test, names = material.test, material.transducers
     if all(test.pulses[name].baseline is None for name in names):
         raise item.NotAvailableError(
@@ -39,8 +39,8 @@ def draw_fig14(material: item.Material) -> item.Product:
     style.name_panels(axes, [f"position {name}" for name in names])
 
     def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
-        judged = {key: pulses.values[key] for key in ("distance_squared", "limit_f", "limit_paper")}
-        return judged | {key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_paper")}
+        assessed = {key: pulses.values[key] for key in ("distance_squared", "limit_f", "limit_paper")}
+        return assessed | {key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_paper")}
 
     return item.Product(
         drawing=figure,
@@ -55,6 +55,7 @@ def draw_fig14(material: item.Material) -> item.Product:
 
 
 def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colour: str) -> None:
+    """Draw the distances of a position with its limits."""
     distance = pulses.values["distance_squared"]
     if baseline_h is not None:
         axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
@@ -62,10 +63,13 @@ def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colo
     if last_h > SPLIT_H:
         axis.axvspan(SPLIT_H, last_h, color=style.VERMILLION, alpha=0.08, lw=0, label="counted: after 100 h")
     axis.plot(pulses.hour_h, distance, ".", color=colour, ms=2.5, label="our sets")
-    for column, dash, told in (("limit_paper", "--", "our mean + 3 SD"), ("limit_f", "-", "exact limit (F)")):
+    for column, dash, label in (
+        ("limit_paper", "--", "our mean + 3 SD"),
+        ("limit_f", "-", "exact limit (F)"),
+    ):
         limit = _limit(pulses, column)
         if limit is not None:
-            axis.axhline(limit, color=style.BLACK, lw=1.0, ls=dash, label=told)
+            axis.axhline(limit, color=style.BLACK, lw=1.0, ls=dash, label=label)
     if pulses.position in ("B", "C", "D"):
         for source, dash in (("text", ":"), ("caption", "-.")):
             value = printed("fig14", f"limit_{source}_{pulses.position}")
@@ -79,23 +83,25 @@ def _limit(pulses: SolitaryWaves, column: str) -> float | None:
 
 
 def _share(pulses: SolitaryWaves, outlier: FloatArray, from_h: float) -> tuple[float | None, int]:
-    """Outliers in per cent of the sets judged after an hour, and their number."""
-    judged = (pulses.hour_h > from_h) & np.isfinite(outlier) & (pulses.in_baseline == 0.0)
-    n = int(judged.sum())
-    return (100.0 * float(outlier[judged].mean()) if n else None), n
+    """Return the percentage of outliers of the sets assessed after an hour, and their number."""
+    is_assessed = (pulses.hour_h > from_h) & np.isfinite(outlier) & (pulses.in_baseline == 0.0)
+    n = int(is_assessed.sum())
+    return (100.0 * float(outlier[is_assessed].mean()) if n else None), n
 
 
 def _share_text(pulses: SolitaryWaves) -> str:
-    told = []
+    """Describe the percentages of outliers."""
+    parts = []
     for limit, outlier in (("mean + 3 SD", pulses.outlier_paper), ("the exact limit", pulses.outlier)):
         share, n = _share(pulses, outlier, SPLIT_H)
-        told.append(
+        parts.append(
             f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
         )
-    return " and ".join(dict.fromkeys(told))
+    return " and ".join(dict.fromkeys(parts))
 
 
 def _outliers(test: Evidence) -> dict[str, item.Found]:
+    """Return our values of figure 14."""
     values: dict[str, item.Found] = {}
     for name in "BCD":
         pulses = test.pulses.get(name)
@@ -107,6 +113,7 @@ def _outliers(test: Evidence) -> dict[str, item.Found]:
 
 
 def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, key: str) -> item.Found:
+    """Return one of our values of figure 14, or why it is missing."""
     if pulses is None:
         return item.missing(f"the test has no solitary-wave position {name}")
     if pulses.baseline is None:
@@ -122,7 +129,7 @@ def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, 
 
 
 def _smallest_loss(test: Evidence) -> item.Found:
-    """Loss that the ultrasonic probe read when the first transducer raised its alarm: our reading."""
+    """Return the loss that the ultrasonic probe read when the first transducer raised its alarm."""
     alarms = [(p.first_alarm_h, name) for name, p in test.pulses.items() if p.first_alarm_h is not None]
     if not alarms:
         return item.missing(f"no alarm about the wall up to hour {test.last_h:g}")
@@ -141,7 +148,7 @@ def _smallest_loss(test: Evidence) -> item.Found:
 
 
 def draw_fig15(material: item.Material) -> item.Product:
-    """Travel time, thickness and loss read by the ultrasonic probe."""
+    """Draw travel time, thickness and loss of the ultrasonic probe."""
     test = material.test
     if not test.echoes:
         raise item.NotAvailableError("the test has no position with method pulse_echo")
@@ -178,8 +185,8 @@ def draw_fig15(material: item.Material) -> item.Product:
         loss.plot([end_h], [initial_mm - core_mm], **core_mark)
     loss.set(xlabel="hour of the test (h)", ylabel="loss of thickness (mm)")
     handles, labels = travel.get_legend_handles_labels()
-    more, told = wall.get_legend_handles_labels()
-    wall.legend([*handles, *more], [*labels, *told], loc="lower left")
+    more_handles, more_labels = wall.get_legend_handles_labels()
+    wall.legend([*handles, *more_handles], [*labels, *more_labels], loc="lower left")
     loss.legend(loc="upper left")
     style.name_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
     columns: dict[str, Any] = {
@@ -195,6 +202,7 @@ def draw_fig15(material: item.Material) -> item.Product:
 
 
 def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
+    """Return hours and true thickness of the twin; None for a real specimen."""
     known = [trace for trace in test.traces.get(position, ()) if "thickness_m" in trace.truth]
     if not known:
         return None
@@ -205,7 +213,7 @@ def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArr
 
 
 def _line(probe: PulseEchoes) -> tuple[float, float] | None:
-    """Loss in m at hour 0 and in m/h, by least squares."""
+    """Fit the loss in m at hour 0 and its slope in m/h by least squares."""
     present = np.isfinite(probe.thickness_loss_m)
     if np.unique(probe.hour_h[present]).size < 2:
         return None
@@ -214,6 +222,7 @@ def _line(probe: PulseEchoes) -> tuple[float, float] | None:
 
 
 def _wall(test: Evidence, probe: PulseEchoes, line: tuple[float, float] | None) -> dict[str, item.Found]:
+    """Return our values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.missing("the test has no pulse-echo position A"))
@@ -248,6 +257,7 @@ def _wall(test: Evidence, probe: PulseEchoes, line: tuple[float, float] | None) 
 
 
 def _r_squared(probe: PulseEchoes, line: tuple[float, float]) -> float:
+    """Compute R^2 of a line through the loss."""
     present = np.isfinite(probe.thickness_loss_m)
     hours, loss = probe.hour_h[present], probe.thickness_loss_m[present]
     residual = loss - (line[0] + line[1] * hours)

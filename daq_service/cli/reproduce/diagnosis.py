@@ -1,4 +1,4 @@
-"""Why our values differ from the paper's: short, honest, ours.
+"""Causes of the deviations from the paper's values.
 
 A cause that rests on the twin's choices holds for the test that this version runs by itself; any other
 test is another specimen or another choice.
@@ -14,10 +14,10 @@ OWN_SPECIMEN = "another specimen, rig or schedule than the paper's"
 OTHER_TEST = "another configuration of the twin than the one that this version runs by itself"
 
 GIVEN = "no independent agreement"
-"""Begins the cause of a value that the twin was given: it is told even where nothing deviates."""
+"""Start of the cause of a value that the twin was given: shown even without a deviation."""
 
 MEASURED = ("table1", "fig7", "fig8", "fig9", "fig11", "fig14", "fig15")
-"""Items that show measurements; the others are models of the paper's specimen, whatever test is read."""
+"""Items that show measurements; the others are models of the paper's specimen, for any test."""
 
 _PAPERS_MODEL = (
     "not reproducible: no setting that the paper states gives its ToF and AR together; elements that lock "
@@ -91,7 +91,7 @@ _CAUSES: Mapping[str, str] = {
 
 
 def cause_of(value: PaperValue, *, origin: str) -> str:
-    """Cause of a deviation.
+    """Return the cause of a deviation.
 
     Parameters
     ----------

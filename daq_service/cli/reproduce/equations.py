@@ -1,4 +1,4 @@
-"""Equations 14 to 17 on the test's own data: the features the paper used but did not show, and two checks.
+"""Evaluate equations 14 to 17 on the test's data: features that the paper does not show, and two checks.
 
 Equation 16 is computed again from the stored features and baseline by another method than the service's
 (a linear solve instead of the whitening), equation 17 by its ratio; autocorrelation is repeated on the
@@ -29,7 +29,7 @@ _COLUMNS = (
 
 
 def draw_equations(material: Material) -> Product:
-    """Autocorrelation, its coefficient and the area under the PSW over the test."""
+    """Draw autocorrelation lag, coefficient and area under the PSW over the test."""
     test, names = material.test, material.transducers
     figure, axes = sheet(1, 3, height_in=3.0)
     for name in names:
@@ -52,32 +52,33 @@ def draw_equations(material: Material) -> Product:
 
 
 def _checks(test: Evidence) -> Sequence[str]:
-    told = []
+    """Return the results of the checks in sentences."""
+    sentences = []
     for name, pulses in test.pulses.items():
         error = _equation_16(pulses)
         if error is not None:
-            told.append(
+            sentences.append(
                 f"Eq. 16 at {name}, computed again from {error[1]} stored feature vectors and the baseline: "
                 f"largest difference from the stored distance {error[0]:.1e} (relative)."
             )
         lag = _autocorrelation(pulses, test.traces.get(name, ()))
         if lag is not None:
-            told.append(
+            sentences.append(
                 f"Autocorrelation of {lag[1]} averaged records at {name}: its lag lies within {lag[0]:.2f} "
                 "us of the set's mean by single shots."
             )
     for name, probe in test.echoes.items():
         spread = _equation_17(probe)
         if spread is not None:
-            told.append(
+            sentences.append(
                 f"Eq. 17 at {name}: thickness over (UT - D) is the same for all {spread[1]} readings to "
                 f"{spread[0]:.1e} (relative)."
             )
-    return told
+    return sentences
 
 
 def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
-    """Largest relative difference between the stored distances and eq. 16 solved anew, and how many."""
+    """Return the largest relative difference of stored distances from eq. 16, and their number."""
     baseline = pulses.baseline
     if baseline is None or None in baseline.mean:
         return None
@@ -91,14 +92,14 @@ def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
     sd = np.sqrt(np.diag(np.array(baseline.covariance)))
     correlation = np.array(baseline.covariance) / np.outer(sd, sd)
     scaled = off / sd
-    again = np.einsum("ij,ij->i", scaled, np.linalg.solve(correlation, scaled.T).T)
-    return float(np.max(np.abs(again / stored[present] - 1.0))), int(present.sum())
+    recomputed = np.einsum("ij,ij->i", scaled, np.linalg.solve(correlation, scaled.T).T)
+    return float(np.max(np.abs(recomputed / stored[present] - 1.0))), int(present.sum())
 
 
 def _equation_17(probe: PulseEchoes) -> tuple[float, int] | None:
-    """Spread of ``th / (UT - D)``, which eq. 17 makes constant: ``th_0 / (UT_0 - D)``.
+    """Return the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
 
-    None where the path between two elements is corrected for: then eq. 17 is not what was computed.
+    None if the path between two elements is corrected: then eq. 17 was not used.
     """
     present = np.isfinite(probe.thickness_m) & np.isfinite(probe.travel_time_s)
     if probe.delay_s is None or probe.element_separation_m or int(present.sum()) < 2:
@@ -108,7 +109,7 @@ def _equation_17(probe: PulseEchoes) -> tuple[float, int] | None:
 
 
 def _autocorrelation(pulses: SolitaryWaves, traces: Sequence[Trace]) -> tuple[float, int] | None:
-    """Largest distance in us of the averaged records' lag from the sets' feature, and how many records."""
+    """Return the largest deviation in us of the averaged records' lag, and the number of records."""
     row_of = {int(index): row for row, index in enumerate(pulses.set_index)}
     distances = []
     for trace in traces:
@@ -125,7 +126,7 @@ def _autocorrelation(pulses: SolitaryWaves, traces: Sequence[Trace]) -> tuple[fl
 
 
 def _lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
-    """Lag of the highest autocorrelation near the peaks' distance, between samples by a parabola."""
+    """Return the lag of the highest autocorrelation near the peaks' distance, with a parabola."""
     step_s = float(trace.time_s[1] - trace.time_s[0])
     every = max(1, round(BLOCK_S / step_s))
     n = trace.volts.size // every

@@ -1,7 +1,7 @@
-"""What a test says, read from its data folder through the catalogue and the archive.
+"""Read the results of a test from its data folder through the catalogue and the archive.
 
 Read only: a test that is still running may be read too. Names of positions, methods, limits and waveforms
-are the folder's own; what it does not have stays empty, and the figures say so.
+are the folder's own; missing data stay empty, and the figures state that.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PULSES = (
     "isw_amplitude_v", "psw_amplitude_v", "isw_time_s", "psw_time_s", "ssw_time_s", "isw_fwhm_s",
 )  # fmt: skip
 """Columns of the catalogue that are drawn or compared."""
-JUDGED = ("distance_squared", "limit_f", "limit_paper")
+ASSESSED = ("distance_squared", "limit_f", "limit_paper")
 
 TRACES = 25
 """Sets whose waveforms are drawn: enough for a trend, few enough to see single pulses."""
@@ -41,7 +41,7 @@ class Series:
     Attributes
     ----------
     patch_m
-        Assumed size of the corroded patch; None where the configuration does not say.
+        Assumed size of the corroded patch; None if not configured.
     set_index, hour_h
         Shape (n,).
     first_alarm_h
@@ -64,9 +64,9 @@ class SolitaryWaves(Series):
     ----------
     values
         By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
-        `JUDGED`.
+        `ASSESSED`.
     in_baseline, outlier, outlier_paper
-        float64, shape (n,): 1 yes, 0 no, NaN where a set was not judged.
+        float64, shape (n,): 1 yes, 0 no, NaN where a set was not assessed.
     baseline
         Row of the catalogue, None before it is frozen.
     """
@@ -87,7 +87,7 @@ class PulseEchoes(Series):
     delay_s, initial_thickness_m
         D and th_0 of eq. 17, as configured.
     element_separation_m
-        Distance of the probe's elements that its path is corrected for; 0: eq. 17 as it stands.
+        Distance of the probe's elements that its path is corrected for; 0: eq. 17 without correction.
     """
 
     travel_time_s: FloatArray
@@ -125,7 +125,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """A test as far as it has come.
+    """Results of a test so far.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
 
 
 def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[str, dict[str, Any]]:
-    """Positions of the configuration that have sets, each with the method that took them."""
+    """Return the positions with sets, each with its method."""
     methods = {row.position: row.method for row in sets}
     configured = configuration.get("positions", {})
     names = [name for name in configured if name in methods]
@@ -227,7 +227,7 @@ def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[st
 def _common(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
-    """Fields of a `Series`."""
+    """Return the fields of a `Series`."""
     alarms_h = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return {
         "position": position,
@@ -240,26 +240,29 @@ def _common(
 
 
 def _array(values: Sequence[float | bool | None]) -> FloatArray:
+    """Return values as float64; None becomes NaN."""
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
 def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
+    """Read the sets of a solitary-wave transducer."""
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
     assessments = catalogue.columns(
-        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED], position=position
+        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *ASSESSED], position=position
     )
     row_of = {index: row for row, index in enumerate(assessments["set_index"])}
     rows = [row_of.get(index) for index in columns["set_index"]]
 
-    def judged(name: str) -> FloatArray:
+    def assessed_values(name: str) -> FloatArray:
         return _array([None if row is None else assessments[name][row] for row in rows])
 
     return SolitaryWaves(
         **_common(catalogue, position, place, columns),
-        values={name: _array(columns[name]) for name in PULSES} | {name: judged(name) for name in JUDGED},
-        in_baseline=judged("in_baseline"),
-        outlier=judged("outlier"),
-        outlier_paper=judged("outlier_paper"),
+        values={name: _array(columns[name]) for name in PULSES}
+        | {name: assessed_values(name) for name in ASSESSED},
+        in_baseline=assessed_values("in_baseline"),
+        outlier=assessed_values("outlier"),
+        outlier_paper=assessed_values("outlier_paper"),
         baseline=catalogue.baseline(position),
     )
 
@@ -267,6 +270,7 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any
 def _pulse_echoes(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], configuration: Mapping[str, Any]
 ) -> PulseEchoes:
+    """Read the sets of an ultrasonic probe."""
     names = ("travel_time_s", "thickness_m", "thickness_loss_m")
     columns = catalogue.columns(ThicknessRow, ["set_index", "due_h", *names], position=position)
     ultrasound = configuration.get("ultrasound", {})
@@ -305,6 +309,7 @@ def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[
 
 
 def _average(record: SetRecord, position: str) -> Trace | None:
+    """Average the accepted records of a position."""
     accepted = [
         shot
         for shot in record.records

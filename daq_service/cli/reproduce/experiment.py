@@ -16,13 +16,13 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 
 BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
-"""The paper judges sets one by one, and so do the alarms of what reproduces it."""
+"""Alarm rule of the paper: sets are assessed one by one."""
 
 _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError, BusyError)}
 
 
 def twin_settings(seed: int | None) -> Settings:
-    """Give the shipped configuration with alarms by the paper's rule: sets beyond a limit, not the chart.
+    """Return the shipped configuration with the paper's alarm rule instead of the control chart.
 
     The environment is on top, and another seed if one is given.
     """
@@ -31,7 +31,7 @@ def twin_settings(seed: int | None) -> Settings:
 
 
 def check_test_folder(settings: Settings, folder: Path) -> None:
-    """Refuse a folder of another test before anything is computed.
+    """Raise an error for a folder of another test before anything is computed.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def check_test_folder(settings: Settings, folder: Path) -> None:
 def run_test(
     settings: Settings, folder: Path, *, stop: threading.Event, progress: Callable[[int, int, float], None]
 ) -> bool:
-    """Record to the schedule's end, or until `stop`; a folder that is done already is left as it is.
+    """Record to the schedule's end, or until `stop`; a complete folder is left unchanged.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def run_test(
     Raises
     ------
     SolimonError
-        The recorder ended with an error (its words are on standard error).
+        The recorder ended with an error (its message is on standard error).
     """
     prepare_data_folder(folder)
     config = write_configuration(settings, folder)

@@ -1,4 +1,4 @@
-"""What a figure or table of the reproduction is made of, and what it gives back.
+"""Interface of the reproduction's figures and tables.
 
 An item names the computations (`Job`) it needs, and turns their results and the test's evidence into a
 drawing, tables and our values of the paper's quantities. Items know nothing of each other, of files or of
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class NotAvailableError(Exception):
-    """A quantity, or a whole figure, cannot be had from this test; the message says why."""
+    """A quantity, or a complete figure, is not available from this test; the message has the reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class Found:
     value
         None where it is not available, or where it is no number.
     words
-        Where a number alone does not say it; else empty.
+        Addition to the number; may be empty.
     reason
         Why `value` is not available; empty where it is.
     """
@@ -55,14 +55,14 @@ class Found:
 
 
 def found(value: float | None, words: str = "", *, reason: str = "") -> Found:
-    """Our value; None or NaN becomes "not available" with the reason."""
+    """Return our value; None or NaN becomes "not available" with the reason."""
     if value is None or not math.isfinite(value):
         return Found(words=words, reason=reason or "not a finite number")
     return Found(value=float(value), words=words)
 
 
 def missing(reason: str) -> Found:
-    """Not available, and why."""
+    """Return a missing value with its reason."""
     return Found(reason=reason)
 
 
@@ -79,7 +79,7 @@ class Table:
 
 
 def stacked(test: Evidence, columns: Callable[[SolitaryWaves], Mapping[str, FloatArray]]) -> Table:
-    """Put columns of the sets of all transducers below each other, beside position, set and hour."""
+    """Stack columns of the sets of all transducers, with position, set and hour."""
     table: dict[str, list[Any]] = {}
     for name, pulses in test.pulses.items():
         part = {"set_index": pulses.set_index, "due_h": pulses.hour_h, **columns(pulses)}
@@ -91,7 +91,7 @@ def stacked(test: Evidence, columns: Callable[[SolitaryWaves], Mapping[str, Floa
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Material:
-    """What an item is made from.
+    """Input of an item.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Material:
     results: Mapping[str, Any]
 
     def result(self, name: str) -> Any:
-        """Give the result of a job.
+        """Return the result of a job.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Material:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Product:
-    """What an item came to.
+    """Output of an item.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Every figure and table, in the paper's order; the slips come last."""
+"""List of all figures and tables in the paper's order; the slips come last."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ITEMS = (
 
 
 def chosen_items(only: str | None) -> tuple[Item, ...]:
-    """Items by their names, separated by commas; None means all.
+    """Return the items with these names, separated by commas; None means all.
 
     Raises
     ------

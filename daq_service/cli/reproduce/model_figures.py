@@ -18,7 +18,7 @@ STRONG_GAMMA_N_S_PER_M = 1000.0
 """Dashpot between chain and plate of the paper's "modified" model."""
 DEPTHS = tuple(k / 20 for k in range(17))
 SOLID_DEPTHS = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Fewer: a depth of the solid plate is assembled and reduced anew."""
+"""Fewer depths: the solid plate is assembled and reduced for each."""
 CASE_3 = 0.258
 """Lambda of the paper's Table 2, case 3."""
 
@@ -28,7 +28,7 @@ _GRID = tuple(float(x) for x in np.linspace(0.0, 2.0, 41))
 
 
 def draw_fig10(material: item.Material) -> item.Product:
-    """Restitution and contact time over lambda."""
+    """Draw restitution and contact time over lambda."""
     columns: dict[str, list[float]] = material.result("curve")
     case_3: dict[str, list[float]] = material.result("case_3")
     figure, axes = style.sheet(1, 2, height_in=3.0)
@@ -62,6 +62,7 @@ def draw_fig10(material: item.Material) -> item.Product:
 
 
 def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str) -> float:
+    """Return the largest deviation of an approximation in per cent."""
     return 100.0 * float(np.nanmax(np.abs(np.divide(columns[approximate], columns[exact]) - 1.0)))
 
 
@@ -77,7 +78,7 @@ _ISW_CURVES = (
 
 
 def draw_fig12(material: item.Material) -> item.Product:
-    """ToF and AR over the amplitude of the incident wave."""
+    """Draw ToF and AR over the amplitude of the incident wave."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     for name, *_ in _ISW_CURVES:
         curves[name] = [
@@ -87,9 +88,9 @@ def draw_fig12(material: item.Material) -> item.Product:
             for ratio, shot in material.result(name)
         ]
     figure, axes = style.sheet(1, 2, height_in=4.1)
-    for name, told, colour, dash in _ISW_CURVES:
+    for name, label, colour, dash in _ISW_CURVES:
         ratio, tof_us, ar = (list(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=told)
+        axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=label)
         axes[1].plot(ratio, ar, color=colour, ls=dash)
     for axis, quantities in ((axes[0], ("tof", "tof_zener")), (axes[1], ("ar", "ar_zener", "ar_measured"))):
         for quantity in quantities:
@@ -115,7 +116,7 @@ def draw_fig12(material: item.Material) -> item.Product:
 
 
 def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
-    """Name one of the paper's values, on the side of it that is free of curves."""
+    """Label one of the paper's values on the side without curves."""
     axis.annotate(
         text,
         (1.0, value),
@@ -127,12 +128,14 @@ def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
 
 
 def _band(axis: Axes, nominal: str, spread: str) -> None:
+    """Draw the paper's range around a nominal value."""
     value, percent = printed("fig12", nominal), printed("fig12", spread)
     for sign in (-1.0, 1.0):
         axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
 
 
 def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> item.Table:
+    """Return the points of all curves as a table."""
     rows = [(name, *point) for name, points in curves.items() for point in points]
     names = ("curve", over, "tof_us", "amplitude_ratio")
     return item.Table(
@@ -141,6 +144,7 @@ def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], ove
 
 
 def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> dict[str, item.Found]:
+    """Return our values of figure 12."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
     tof_us, ar = at["disk"][1.0]
     change = {
@@ -173,10 +177,11 @@ _DEPTH_CURVES = (
     ("solid_sphere", "solid, sensor a sphere", style.ORANGE, "--", SOLID_DEPTHS),
     ("solid_disk", "solid, sensor two disks", style.VERMILLION, "--", SOLID_DEPTHS),
 )
-_TOLD = {name: told for name, told, *_ in _DEPTH_CURVES}
+_LABELS = {name: label for name, label, *_ in _DEPTH_CURVES}
 
 
 def _depth_jobs() -> dict[str, item.Job]:
+    """Return the jobs of figure 13."""
     jobs = {}
     for name, _, _, _, depths in _DEPTH_CURVES:
         model, sensor, *large = name.split("_")
@@ -191,7 +196,7 @@ def _depth_jobs() -> dict[str, item.Job]:
 
 
 def draw_fig13(material: item.Material) -> item.Product:
-    """ToF and AR over the relative depth of the patch."""
+    """Draw ToF and AR over the relative depth of the patch."""
     curves: dict[str, list[tuple[float, float, float]]] = {}
     absent: dict[str, str] = {}
     for name, *_ in _DEPTH_CURVES:
@@ -204,18 +209,18 @@ def draw_fig13(material: item.Material) -> item.Product:
         else:
             curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in shots]
     figure, axes = style.sheet(1, 2, height_in=4.3)
-    for name, told, colour, dash, _ in _DEPTH_CURVES:
+    for name, curve_label, colour, dash, _ in _DEPTH_CURVES:
         if name not in curves:
             continue
         depth, tof_us, ar = (np.array(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(100 * depth, tof_us, color=colour, ls=dash, label=told)
+        axes[0].plot(100 * depth, tof_us, color=colour, ls=dash, label=curve_label)
         axes[1].plot(100 * depth, ar, color=colour, ls=dash)
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
             ends = [printed("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
-            look = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
+            mark_style = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
             label = f"paper, {program} (ends only)" if axis is axes[0] else None
-            axis.plot([0, 80], ends, **look, label=label)
+            axis.plot([0, 80], ends, **mark_style, label=label)
     for axis in axes:
         axis.set(xlabel="depth of the patch (% of the thickness)")
     axes[0].set_ylabel("time of flight (µs)")
@@ -228,7 +233,7 @@ def draw_fig13(material: item.Material) -> item.Product:
         found=_depth_found(curves, absent),
         notes=(
             *(_turning(name, points) for name, points in curves.items()),
-            *(f"{_TOLD[name].capitalize()}: not available, {why}." for name, why in absent.items()),
+            *(f"{_LABELS[name].capitalize()}: not available, {why}." for name, why in absent.items()),
         ),
     )
 
@@ -236,6 +241,7 @@ def draw_fig13(material: item.Material) -> item.Product:
 def _depth_found(
     curves: Mapping[str, Sequence[tuple[float, float, float]]], absent: Mapping[str, str]
 ) -> dict[str, item.Found]:
+    """Return our values of figure 13."""
     values: dict[str, item.Found] = {}
     for model in ("mindlin", "solid"):
         for sensor, _ in SENSORS:
@@ -252,10 +258,10 @@ def _depth_found(
 
 
 def _turning(name: str, points: Sequence[tuple[float, float, float]]) -> str:
-    """Where the amplitude ratio is least; between two computed depths it may be a little lower."""
+    """Describe where the amplitude ratio is minimal, among the computed depths."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
-        f"{_TOLD[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
+        f"{_LABELS[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
         f"{points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."
     )
 

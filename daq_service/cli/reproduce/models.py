@@ -1,7 +1,7 @@
-"""What the models say: functions for an executor, in another process if it likes.
+"""Compute the models' results: functions for an executor, possibly in another process.
 
-Everything here is the paper's specimen unless a study changes one thing; the parameters' defaults are the
-paper's, whatever a configuration says.
+The specimen is that of the paper unless a study changes one parameter; the defaults are the paper's,
+independent of a configuration.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ LONGEST_SEARCH = 60
 
 
 def plate_models() -> tuple[str, ...]:
-    """Names of the plate models that this version has."""
+    """Return the names of the plate models."""
     return tuple(get_args(get_type_hints(PlateParameters)["model"]))
 
 
 def plate_of_model(model: str) -> PlateParameters:
-    """Give the paper's plate by one of `plate_models`."""
+    """Return the paper's plate with one of `plate_models`."""
     if model not in plate_models():
         raise ValueError(f"plate model {model!r}; this version has {', '.join(plate_models())}")
     # The type checker cannot see that the name is one of the literal ones.
@@ -76,7 +76,7 @@ class ForceTrace:
 def pulses_over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> list[Pulse]:
-    """One shot a depth."""
+    """Compute a shot for each depth."""
     model = ShotModel(chain, plate, patch)
     return [_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
@@ -84,7 +84,7 @@ def pulses_over_depth(
 def pulses_over_isw(
     chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]
 ) -> list[tuple[float, Pulse]]:
-    """Shots whose ISW is `ratios` times the nominal one, each found by its drop height."""
+    """Compute shots with `ratios` of the nominal ISW, each found by its drop height."""
     model = ShotModel(chain, plate, CorrosionParameters())
     nominal_n = _pulse(model, 0.0, chain.drop_height_m).isw_peak_n
     found = []
@@ -103,7 +103,7 @@ def pulses_over_isw(
 
 
 def zener_over_isw(ratios: tuple[float, ...], *, closed_form: bool) -> list[tuple[float, ZenerReflection]]:
-    """Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in the paper's Table 2."""
+    """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2."""
     chain, plate = ChainParameters(), PlateParameters()
     return [
         (
@@ -119,17 +119,17 @@ def zener_over_isw(ratios: tuple[float, ...], *, closed_form: bool) -> list[tupl
 
 
 def zener_by_eq_8(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
-    """Eq. 8 solved numerically."""
+    """Compute Zener's model with eq. 8 solved numerically."""
     return zener_over_isw(ratios, closed_form=False)
 
 
 def zener_by_closed_forms(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
-    """Eqs 10 and 12."""
+    """Compute Zener's model with eqs 10 and 12."""
     return zener_over_isw(ratios, closed_form=True)
 
 
 def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
-    """Restitution and contact time by eq. 8 and by eqs 10 and 12; NaN where a closed form does not hold."""
+    """Compute restitution and contact time by eq. 8 and eqs 10 and 12; NaN if not valid."""
     columns: dict[str, list[float]] = {
         name: [] for name in ("inelasticity", "e_eq8", "e_eq10", "tau_c_eq8", "tau_c_eq12")
     }
@@ -144,12 +144,12 @@ def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, lis
 
 
 def zeners_table() -> tuple[Table2Row, ...]:
-    """Table 2."""
+    """Compute the paper's Table 2."""
     return table_2()
 
 
 def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
-    """Force at every body between striker and last sphere.
+    """Compute the force at every body between striker and last sphere.
 
     The chain is of equal spheres, sensor included, so it does not matter where the sensor is called:
     each body in turn is, and all shots are the same one.
@@ -165,13 +165,13 @@ def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
 
 
 def sensor_force(chain: ChainParameters, plate: PlateParameters, depth_fraction: float) -> ForceTrace:
-    """Force at the sensor."""
+    """Compute the force at the sensor."""
     force = ShotModel(chain, plate, CorrosionParameters()).shot(depth_fraction=depth_fraction)
     return ForceTrace(body=chain.spheres_above, time_s=force.time_s, force_n=force.force_n)
 
 
 def chain_constants(chain: ChainParameters, plate: PlateParameters) -> dict[str, float]:
-    """Constants of eqs 1 and 2 for `chain` on `plate`, SI units."""
+    """Return the constants of eqs 1 and 2 for `chain` on `plate`, SI units."""
     built = build_chain(chain, plate)
     return {
         "sphere_stiffness": float(built.stiffness_n_per_m15[0]),
@@ -182,6 +182,7 @@ def chain_constants(chain: ChainParameters, plate: PlateParameters) -> dict[str,
 
 
 def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
+    """Compute a shot and its peaks."""
     summary = summarise(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
@@ -216,7 +217,7 @@ class MeshLines:
 
 
 def mindlin_mesh(plate: PlateParameters) -> MeshLines:
-    """Mesh of the plate theory."""
+    """Return the mesh of the plate theory."""
     patch = CorrosionParameters()
     built = build_plate(plate, patch)
     return MeshLines(
@@ -232,7 +233,7 @@ def mindlin_mesh(plate: PlateParameters) -> MeshLines:
 
 
 def solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
-    """Mesh of the solid plate with the default patch thinned to a depth."""
+    """Return the mesh of the solid plate with the default patch of a depth."""
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     built = build_solid_plate(plate, patch)
     x_m, y_m = built.x.breaks_m, built.y.breaks_m
@@ -249,5 +250,5 @@ def solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
 
 
 def zener_on_thickness(thickness_m: float) -> ZenerReflection:
-    """Zener's model on a plate of another thickness; a very thick one is a rigid wall to it."""
+    """Compute Zener's model on a plate of another thickness; a very thick one is a rigid wall."""
     return reflect(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

@@ -1,4 +1,4 @@
-"""What a reproduction came to: its facts, the report and the record, and the table for a terminal."""
+"""Results of a reproduction: facts, report, JSON file, and the table for a terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TITLE = "The paper's evaluation, reproduced"
 
 @dataclass(slots=True)
 class Outcome:
-    """What one reproduction has come to."""
+    """Results of a reproduction so far."""
 
     out: Path
     started_s: float
@@ -35,12 +35,12 @@ class Outcome:
 
     @property
     def rows(self) -> list[Row]:
-        """Of all items that are made, in order."""
+        """Rows of all finished items, in order."""
         return [row for section in self.sections for row in section.rows]
 
 
 def versions() -> dict[str, Any]:
-    """Facts of a run before it has a test."""
+    """Return the facts of a run before it has a test."""
     return {
         "seed": None,
         "configuration_hash": None,
@@ -55,7 +55,7 @@ def versions() -> dict[str, Any]:
 
 
 def facts_of_test(test: Evidence) -> dict[str, Any]:
-    """Facts of a test."""
+    """Return the facts of a test."""
     return {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
@@ -67,15 +67,15 @@ def facts_of_test(test: Evidence) -> dict[str, Any]:
 
 
 def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, Any]:
-    """Write report and record, and give the record.
+    """Write report and JSON file, and return the contents of the latter.
 
     Parameters
     ----------
     names
         Of the items that were wanted; those that are not made are named as missing.
     """
-    made = {section.name for section in run.sections}
-    missing = [name for name in names if name not in made]
+    finished = {section.name for section in run.sections}
+    missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
     counts = tally(run.rows)
     result: dict[str, Any] = {
@@ -133,7 +133,7 @@ def _row_dict(row: Row) -> dict[str, Any]:
 
 
 def print_result(result: Mapping[str, Any]) -> None:
-    """Print what `finish` gave, for people."""
+    """Print the result of `finish`."""
     rows = result["comparison"]
     if rows:
         click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")

@@ -1,4 +1,4 @@
-"""The output folder: made or recognised, files written whole or not at all."""
+"""Prepare the output folder and write complete files."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.shared_file import patiently
 
 RECORD = "reproduction.json"
-"""Tells that the folder is ours, and at the end what is in it."""
+"""Marks the folder as a reproduction, and finally lists its contents."""
 REPORT = "report.html"
 DATA_FOLDER = "data"
 """Of a test that was run for the figures."""
 
 
 def prepare_output(folder: Path) -> None:
-    """Make the folder, or recognise one of an earlier reproduction, whose files are replaced.
+    """Create the folder, or accept one of an earlier reproduction, whose files are replaced.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def prepare_output(folder: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Replace a file at once: an interruption leaves the old one or the new one."""
+    """Replace a file at once: an interruption leaves the old or the new one."""
     partial = path.with_name(f".{path.name}.tmp")
     try:
         partial.write_bytes(content)
@@ -57,12 +57,12 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write an object for programs."""
+    """Write an object as JSON."""
     write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def csv_bytes(table: Table) -> bytes:
-    """Comma-separated values: a header, then one row a line; not available is an empty cell.
+    """Return comma-separated values: a header, then a line per row; missing values are empty cells.
 
     Floats are written with all their digits, so that they read back as the same numbers.
     """

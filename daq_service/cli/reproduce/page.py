@@ -1,4 +1,4 @@
-"""The report: one HTML page that opens from disk, pictures inside."""
+"""Write the report as one HTML page with embedded figures."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """Everything the page says."""
+    """Contents of the page."""
 
     title: str
     facts: Mapping[str, str]
@@ -63,7 +63,7 @@ class Report:
 
 
 def report_page(report: Report) -> bytes:
-    """HTML of the report."""
+    """Return the HTML of the report."""
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
@@ -117,10 +117,10 @@ def _comparison(rows: Sequence[Row]) -> str:
         ours = escape(row.ours_shown)
         if row.ours is None:
             ours = f"<span class='missing'>{ours}</span>"
-        words = f" <span class='note'>({escape(row.ours_words)})</span>" if row.ours_words else ""
+        remark = f" <span class='note'>({escape(row.ours_words)})</span>" if row.ours_words else ""
         unit = {"1": "", "us": "µs"}.get(row.unit, row.unit)
         parts.append(
-            f"<tr><td>{escape(row.text)}{words}</td><td>{escape(row.where)}</td>"
+            f"<tr><td>{escape(row.text)}{remark}</td><td>{escape(row.where)}</td>"
             f"<td class='number'>{escape(row.paper_shown)}</td><td class='number'>{ours}</td>"
             f"<td>{escape(unit)}</td><td class='number'>{escape(row.deviation_shown)}</td>"
             f"<td>{escape(row.cause)}</td></tr>"

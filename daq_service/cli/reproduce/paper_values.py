@@ -1,7 +1,7 @@
-"""What the paper says, in numbers: the only place that holds them. Drawing code and causes read them here.
+"""Values printed in the paper, stored only here. Drawing code and causes read them here.
 
 Source: the paper's text, captions and tables; its curves are not digitised. "About" and other words of
-the paper stand in `said`.
+the paper are in `wording`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ class PaperValue:
     item
         Name of the figure or table here.
     value
-        As printed; None where the paper says it in words only.
+        As printed; None if the paper has only words.
     decimals
         Printed digits behind the point: ours is shown with one more.
-    said
+    wording
         The paper's own qualification: "about", "+-", "no trend".
     where
         Section, figure, table or equation of the paper.
@@ -35,11 +35,11 @@ class PaperValue:
     unit: str
     decimals: int
     where: str
-    said: str = ""
+    wording: str = ""
 
 
 def _value(
-    item: str, quantity: str, text: str, value: float | None, unit: str, where: str, said: str = ""
+    item: str, quantity: str, text: str, value: float | None, unit: str, where: str, wording: str = ""
 ) -> PaperValue:
     digits = "" if value is None else f"{value:.10g}".partition(".")[2]
     return PaperValue(
@@ -50,7 +50,7 @@ def _value(
         unit=unit,
         decimals=len(digits),
         where=where,
-        said=said,
+        wording=wording,
     )
 
 
@@ -158,9 +158,9 @@ _PRINTED: Mapping[str, Sequence[_Printed]] = {
         ("gamma_ar", "gamma 1,000 N s/m at the plate: shift of AR", None, "1", "section 4", "significant"),
     ),
     "fig13": tuple(
-        (f"{model}_{sensor}_{quantity}", f"{program}, {told}: {text}", value, unit, "section 4")
+        (f"{model}_{sensor}_{quantity}", f"{program}, {label}: {text}", value, unit, "section 4")
         for model, program, tof_0, tof_80, ar_0, ar_80 in _DEPTH_PRINT
-        for sensor, told in SENSORS
+        for sensor, label in SENSORS
         for quantity, text, value, unit in (
             ("tof_0", "ToF, pristine", tof_0, "us"),
             ("tof_80", "ToF at 80 % depth", tof_80, "us"),
@@ -184,9 +184,9 @@ _PRINTED: Mapping[str, Sequence[_Printed]] = {
             )
         ),
         *(
-            (f"outliers_{limit}_{p}", f"{p}: outliers after 100 h, {told}", value, "%", "section 4")
+            (f"outliers_{limit}_{p}", f"{p}: outliers after 100 h, {label}", value, "%", "section 4")
             for p, value in (("B", 80.0), ("C", 92.0), ("D", 8.0))
-            for limit, told in (("paper", "mean + 3 SD"), ("f", "exact limit (F)"))
+            for limit, label in (("paper", "mean + 3 SD"), ("f", "exact limit (F)"))
         ),
         ("outliers_late_C", "C: outliers after 230 h, mean + 3 SD", 100.0, "%", "section 4"),
         ("smallest_loss", "smallest corrosion detected", 0.75, "mm", "section 5", "as small as"),
@@ -209,12 +209,12 @@ _BY_NAME = {(value.item, value.quantity): value for value in PAPER_VALUES}
 
 
 def of_paper(item: str, quantity: str) -> PaperValue:
-    """One value of the paper; KeyError for a name it does not have."""
+    """Return a value of the paper; KeyError for an unknown name."""
     return _BY_NAME[item, quantity]
 
 
 def printed(item: str, quantity: str) -> float:
-    """Give the number the paper prints; ValueError where it prints none."""
+    """Return a printed number; ValueError if the paper prints none."""
     value = _BY_NAME[item, quantity].value
     if value is None:
         raise ValueError(f"the paper prints no number for {quantity} of {item}")
@@ -222,5 +222,5 @@ def printed(item: str, quantity: str) -> float:
 
 
 def values_of(item: str) -> tuple[PaperValue, ...]:
-    """Everything the paper says about an item."""
+    """Return all values of the paper for an item."""
     return tuple(value for value in PAPER_VALUES if value.item == item)

@@ -1,4 +1,4 @@
-"""The command ``solimon reproduce``: start the test and the models, draw what is ready, tell how it compares.
+"""``solimon reproduce``: start test and models, draw figures as soon as possible, print the comparison.
 
 The test on the twin runs in its own process, the models in another; figures are drawn here, those of the
 models first, since they are ready before the test is. Every file is written as soon as it is made, so an
@@ -38,7 +38,7 @@ from simulator.errors import SimulatorError
 POLL_S = 0.1
 SLIPS = "slips"
 
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 class _StoppedError(Exception):
@@ -48,7 +48,7 @@ class _StoppedError(Exception):
 def reproduce(
     *, out: Path | None, data_dir: Path | None, only: str | None, seed: int | None, as_json: bool
 ) -> int:
-    """Carry out the command; the exit code."""
+    """Run the command and return its exit code."""
     if seed is not None and data_dir is not None:
         raise UsageError(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
@@ -56,14 +56,14 @@ def reproduce(
     items = chosen_items(only)
     folder = (out or new_folder("reproduction")).absolute()
 
-    def say(text: str) -> None:
+    def report(text: str) -> None:
         click.echo(text, err=True)
 
     with stop_on_signals() as stop, ExitStack() as stack:
         executor = stack.enter_context(one_worker())
         try:
             result, finished = reproduce_into(
-                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=say
+                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=report
             )
         finally:
             executor.shutdown(wait=False, cancel_futures=True)
@@ -82,9 +82,9 @@ def reproduce_into(
     seed: int | None,
     executor: Executor,
     stop: threading.Event,
-    say: Say,
+    report: Report,
 ) -> tuple[dict[str, Any], bool]:
-    """Make `items` in the folder `out`.
+    """Compute `items` and write them to the folder `out`.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def reproduce_into(
     executor
         Carries out the models' jobs.
     stop
-        Set to interrupt: what is finished stays, and the report says what is missing.
+        Set to interrupt: finished items stay, and the report lists the missing ones.
 
     Returns
     -------
@@ -118,14 +118,14 @@ def reproduce_into(
         if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
             evidence = tests.submit(read_evidence, data_dir.absolute())
         elif settings is not None:
-            evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, say)
+            evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, report)
         jobs = dict.fromkeys(job for item in items for job in item.jobs.values())
         futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
         try:
             for item in sorted(items, key=lambda item: (item.needs_test, item.name == SLIPS)):
-                _make(run, item, futures, evidence, stop, say)
+                _make(run, item, futures, evidence, stop, report)
         except _StoppedError:
-            say("interrupted: what is finished stays; the same command with the same --out goes on")
+            report("interrupted: what is finished stays; the same command with the same --out goes on")
         except BaseException:
             stop.set()  # ends the recorder, which the thread waits for
             raise
@@ -135,35 +135,37 @@ def reproduce_into(
 
 
 def _needs_test(items: Sequence[Item]) -> bool:
-    """Whether an item draws measurements; the slips take a test that is there and do not ask for one."""
+    """Return whether an item needs measurements; the slips use a test only if there is one."""
     return any(item.needs_test for item in items)
 
 
 # The test and the models ---------------------------------------------------------------------------
 
 
-def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, say: Say) -> Evidence:
-    say(f"test on the twin (seed {settings.twin.seed}) in {folder}")
-    if not run_test(settings, folder, stop=stop, progress=_Tenths(say).progress):
+def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
+    """Run the test on the twin and read its results."""
+    report(f"test on the twin (seed {settings.twin.seed}) in {folder}")
+    if not run_test(settings, folder, stop=stop, progress=_ProgressOfTenths(report).progress):
         raise _StoppedError
     return read_evidence(folder)
 
 
-class _Tenths:
-    """Tells every tenth of the test."""
+class _ProgressOfTenths:
+    """Reports every tenth of the test."""
 
-    def __init__(self, say: Say) -> None:
-        self._say = say
-        self._told = -1
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._last_tenth = -1
 
     def progress(self, done: int, planned: int, due_h: float) -> None:
         tenth = 10 * done // max(planned, 1)
-        if tenth > self._told:
-            self._told = tenth
-            self._say(f"test: hour {due_h:g}, set {done} of {planned}")
+        if tenth > self._last_tenth:
+            self._last_tenth = tenth
+            self._report(f"test: hour {due_h:g}, set {done} of {planned}")
 
 
 def _wait(future: Future[Any], stop: threading.Event) -> Any:
+    """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
             raise _StoppedError
@@ -179,9 +181,9 @@ def _make(
     futures: Mapping[Job, Future[Any]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
-    say: Say,
+    report: Report,
 ) -> None:
-    """Wait for what an item needs, make it, write its files."""
+    """Wait for the inputs of an item, compute it, write its files."""
     results: dict[str, Any] = {}
     for name, job in item.jobs.items():
         try:
@@ -198,7 +200,7 @@ def _make(
         try:
             product = item.make(Material(evidence=test, results=results))
         except NotAvailableError as error:
-            say(f"{item.name}: not available: {error}")
+            report(f"{item.name}: not available: {error}")
             run.sections.append(
                 Section(
                     name=item.name,
@@ -214,12 +216,13 @@ def _make(
     if item.name == SLIPS:
         columns = product.tables[""].columns
         run.slips = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    say(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
+    report(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
 
 
 def _written(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
+    """Write the files of an item and return its section."""
     stem = _stem(item.name)
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():
@@ -239,7 +242,7 @@ def _written(
 
 
 def _origin(test: Evidence | None) -> str:
-    """Whose measurements these are, for their causes."""
+    """Return whose measurements these are, for their causes."""
     if test is not None and not test.from_twin:
         return "specimen"
     if test is None:
@@ -251,5 +254,5 @@ def _origin(test: Evidence | None) -> str:
 
 
 def _stem(name: str) -> str:
-    """File name of an item: figures sort by number."""
+    """Return the file name of an item: figures sort by number."""
     return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name

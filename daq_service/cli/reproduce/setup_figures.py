@@ -58,7 +58,7 @@ def _patch(axis: Axes, from_mm: float, size_mm: float) -> None:
 
 
 def draw_fig5(material: Material) -> Product:
-    """Mesh of the plate theory, and one wave going down the chain and coming back."""
+    """Draw the mesh of the plate theory, and a wave in the chain: down, reflected, up."""
     mesh: models.MeshLines = material.result("mesh")
     traces: Sequence[models.ForceTrace] = material.result("chain")
     figure, axes = sheet(2, 2, height_in=6.6, height_ratios=(1.0, 1.1))
@@ -117,7 +117,7 @@ def draw_fig5(material: Material) -> Product:
 
 
 def draw_fig6(material: Material) -> Product:
-    """Mesh of the solid plate in plan and section."""
+    """Draw the mesh of the solid plate in plan and section."""
     mesh: models.MeshLines = material.result("mesh")
     constants: dict[str, float] = material.result("constants")
     figure, axes = sheet(1, 2, height_in=3.4, width_ratios=(1.0, 1.25))

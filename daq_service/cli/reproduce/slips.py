@@ -70,7 +70,7 @@ _CANDIDATES = {
     "element_0.001": "disks, contact element 1 mm",
     "element_1e-05": "disks, contact element 0.01 mm",
 }
-"""What the paper leaves room for, and the limits beyond it, tried against its 319 us and 0.837."""
+"""Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
 
 
 def _one(material: Material, name: str) -> models.Pulse:
@@ -107,15 +107,15 @@ def _shear(_: Material) -> str:
 
 def _locking(material: Material) -> str:
     tof_us, ar = printed("fig12", "tof"), printed("fig12", "ar")
-    tried = {told: _one(material, name) for name, told in _CANDIDATES.items()}
+    candidates = {label: _one(material, name) for name, label in _CANDIDATES.items()}
 
     def distance(shot: models.Pulse) -> float:
         return math.hypot(shot.tof_us / tof_us - 1.0, shot.amplitude_ratio / ar - 1.0)
 
-    told, nearest = min(tried.items(), key=lambda item: distance(item[1]))
+    label, nearest = min(candidates.items(), key=lambda item: distance(item[1]))
     return (
-        f"none of {len(tried)} settings and limits tried gives {tof_us:g} us with AR {ar:g}; nearest: "
-        f"{told}, {nearest.tof_us:.1f} us with {nearest.amplitude_ratio:.3f}. Locking elements are a "
+        f"none of {len(candidates)} settings and limits tried gives {tof_us:g} us with AR {ar:g}; nearest: "
+        f"{label}, {nearest.tof_us:.1f} us with {nearest.amplitude_ratio:.3f}. Locking elements are a "
         "possible cause, unproven; the curves of figures 12 and 13 count as not reproducible"
     )
 
@@ -131,12 +131,12 @@ def _point_load(material: Material) -> str:
 
 def _not_monotonic(material: Material) -> str:
     shots: list[models.Pulse] = material.result("disk_depths")
-    least = min(shots, key=lambda shot: shot.amplitude_ratio)
+    minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     first, last = shots[0], shots[-1]
     rises = all(after.tof_us > before.tof_us for before, after in pairwise(shots))
     return (
-        f"AR is {first.amplitude_ratio:.3f} pristine, least ({least.amplitude_ratio:.3f}) at "
-        f"{100 * least.depth_fraction:.0f} %, and {last.amplitude_ratio:.3f} at "
+        f"AR is {first.amplitude_ratio:.3f} pristine, least ({minimum.amplitude_ratio:.3f}) at "
+        f"{100 * minimum.depth_fraction:.0f} %, and {last.amplitude_ratio:.3f} at "
         f"{100 * last.depth_fraction:.0f} %: the thinned patch rebounds within the contact. ToF "
         f"{'rises throughout' if rises else 'is not monotonic either'}"
     )
@@ -153,7 +153,7 @@ def _equation_13(material: Material) -> str:
 
 
 def _thresholds(material: Material) -> str:
-    told = []
+    sentences = []
     for name, pulses in material.test.pulses.items():
         baseline = pulses.baseline
         if baseline is None or baseline.limit_paper is None:
@@ -162,15 +162,15 @@ def _thresholds(material: Material) -> str:
         try:
             rate = false_alarm_rate(float(baseline.limit_paper), n, p)
         except AnalysisError as error:
-            told.append(f"{name}: {error}")
+            sentences.append(f"{name}: {error}")
             continue
-        told.append(
+        sentences.append(
             f"{name}: {baseline.limit_paper:.1f} ({100 * rate:.1f} % false alarms), exact "
             f"{baseline.limit_f:.1f}"
         )
-    if not told:
+    if not sentences:
         raise NotAvailableError("no baseline was frozen in this test")
-    return f"computed from our baselines, mean + 3 SD: {'; '.join(told)}. It does not deliver 99.73 %"
+    return f"computed from our baselines, mean + 3 SD: {'; '.join(sentences)}. It does not deliver 99.73 %"
 
 
 def _row_5(_: Material) -> str:
@@ -219,22 +219,22 @@ def _gamma(material: Material) -> str:
 
 
 def _salt_water(material: Material) -> str:
-    """Half-space of liquid on a plate that bends with wavenumber k: added mass rho_w / k an area."""
+    """Compute the added mass of a half-space of liquid on a bending plate, rho_w / k per area."""
     surface = _PLATE.density_kg_per_m3 * _PLATE.thickness_m
     bending = bending_stiffness_n_m(_PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _PLATE.thickness_m)
-    told = []
+    ratios = []
     for frequency_hz in (5e3, 10e3):
         stiff = (2.0 * math.pi * frequency_hz) ** 2 / bending
         # D k^4 = omega^2 (rho h + rho_w / k), by repeated substitution; it contracts like k^(-1/4).
         k = (stiff * surface) ** 0.25
         for _ in range(50):
             k = (stiff * (surface + _WATER.density_kg_per_m3 / k)) ** 0.25
-        told.append(f"{100 * _WATER.density_kg_per_m3 / k / surface:.0f} % at {frequency_hz / 1e3:g} kHz")
+        ratios.append(f"{100 * _WATER.density_kg_per_m3 / k / surface:.0f} % at {frequency_hz / 1e3:g} kHz")
     dry, wet = _one(material, "disk"), _one(material, "disk_wet")
     return (
-        f"added mass of liquid on one face over the plate's own: {', '.join(told)}; {_WATER_DEPTH_M:g} m of "
-        f"salt solution on the plate moves our ToF from {dry.tof_us:.1f} to {wet.tof_us:.1f} us and AR from "
-        f"{dry.amplitude_ratio:.3f} to {wet.amplitude_ratio:.3f}"
+        f"added mass of liquid on one face over the plate's own: {', '.join(ratios)}; {_WATER_DEPTH_M:g} m "
+        f"of salt solution on the plate moves our ToF from {dry.tof_us:.1f} to {wet.tof_us:.1f} us and AR "
+        f"from {dry.amplitude_ratio:.3f} to {wet.amplitude_ratio:.3f}"
     )
 
 
@@ -244,7 +244,7 @@ def _nothing(_: Material) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One slip: what is printed, what is right, and how our finding is made."""
+    """One slip: the printed text, the correct one, and the function of our finding."""
 
     where: str
     prints: str
@@ -324,12 +324,13 @@ def make_slips(material: Material) -> Product:
         "where": [slip.where for slip in SLIPS],
         "printed": [slip.prints for slip in SLIPS],
         "right": [slip.right for slip in SLIPS],
-        "finding": [_told(slip, material) for slip in SLIPS],
+        "finding": [_finding_of(slip, material) for slip in SLIPS],
     }
     return Product(tables={"": Table(columns=columns)})
 
 
-def _told(slip: Slip, material: Material) -> str:
+def _finding_of(slip: Slip, material: Material) -> str:
+    """Return the finding of a slip, or why there is none."""
     try:
         return slip.finding(material)
     except NotAvailableError as error:

@@ -1,4 +1,4 @@
-"""One look for every figure: Okabe-Ito colours, print-sized type, the paper's values in black.
+"""Common style of all figures: Okabe-Ito colours, print-sized type, the paper's values in black.
 
 Object-oriented API only: no window, no global state of pyplot. PNG and SVG carry no date and a fixed
 salt, so the same numbers give the same bytes.
@@ -59,27 +59,27 @@ PAPER_MARK: dict[str, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Everything drawn inside looks alike; matplotlib's own settings come back afterwards."""
+    """Apply the common style within a context, and restore matplotlib's settings afterwards."""
     with mpl.rc_context(RULES):
         yield
 
 
 def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
-    """Make a figure and its axes in reading order."""
+    """Create a figure and its axes in reading order."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(np.ravel(axes))
 
 
 def colour_of(position: str, positions: Sequence[str]) -> str:
-    """Colour of a position: the paper's letters keep theirs whatever else is there."""
+    """Return the colour of a position; the paper's letters have fixed ones."""
     if position in OF_POSITION:
         return OF_POSITION[position]
     return COLOURS[list(positions).index(position) % len(COLOURS)]
 
 
 def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
-    """Give the panels their letters and titles, as the paper does."""
+    """Add letters and titles to the panels, as the paper does."""
     for letter, axis, title in zip("abcdefghij", axes, titles, strict=False):
         axis.set_title(f"({letter}) {title}")
 
@@ -88,7 +88,7 @@ METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "so
 
 
 def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
-    """PNG and SVG of a figure, by the ending of the file's name; to be called in `house_style`."""
+    """Return PNG and SVG of a figure by file ending; call it in `house_style`."""
     pictures = {}
     for ending in endings:
         buffer = io.BytesIO()

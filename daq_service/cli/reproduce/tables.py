@@ -1,4 +1,4 @@
-"""Tables 1 and 2."""
+"""Compute tables 1 and 2."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FIELDS = {
 
 
 def make_table1(material: Material) -> Product:
-    """Positions of the test: method, size of the corroded square, sets."""
+    """Return the positions of the test: method, size of the corroded square, sets."""
     test = material.test
     methods = {**dict.fromkeys(test.pulses, "solitary_wave"), **dict.fromkeys(test.echoes, "pulse_echo")}
     places: dict[str, Any] = {**test.pulses, **test.echoes}
@@ -57,7 +57,7 @@ def _loss_at_d(material: Material) -> Found:
 
 
 def make_table2(material: Material) -> Product:
-    """Zener's model over the drop height, rounded as the paper rounds."""
+    """Return Zener's model over the drop height, rounded as in the paper."""
     rows: tuple[Table2Row, ...] = material.result("rows")
     values = {
         f"{name}_{case}": found(float(asdict(row)[field]))

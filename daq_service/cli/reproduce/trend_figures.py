@@ -17,8 +17,8 @@ from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, colour_of, name_p
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """How one feature is drawn: its column, the factor to the axis's unit, the axis's label."""
+class _FeatureStyle:
+    """Style of a feature's figure: column, factor to the axis's unit, label."""
 
     column: str
     scale: float
@@ -38,11 +38,11 @@ class _Fit:
         return 100.0 * (float(self.trend.at(self.last_h)) / self.trend.constant - 1.0)
 
 
-def _fits(test: Evidence, look: _Look) -> dict[str, _Fit | str]:
-    """Fit of every position, or why there is none."""
+def _fits(test: Evidence, style: _FeatureStyle) -> dict[str, _Fit | str]:
+    """Fit every position, or return why there is no fit."""
     fits: dict[str, _Fit | str] = {}
     for name, pulses in test.pulses.items():
-        values = look.scale * pulses.values[look.column]
+        values = style.scale * pulses.values[style.column]
         present = np.isfinite(values)
         try:
             trend = fit_trend(pulses.hour_h, values)
@@ -55,35 +55,39 @@ def _fits(test: Evidence, look: _Look) -> dict[str, _Fit | str]:
 
 def _draw(
     material: item.Material,
-    look: _Look,
+    style: _FeatureStyle,
     found_by: Callable[[Mapping[str, _Fit | str]], dict[str, item.Found]],
 ) -> item.Product:
+    """Draw a feature of all transducers with fits and the paper's values."""
     test, names = material.test, material.transducers
-    fits = _fits(test, look)
+    fits = _fits(test, style)
     figure, axes = sheet(1, len(names), height_in=3.3, sharex=True, sharey=True)
     for axis, name in zip(axes, names, strict=True):
-        _panel(axis, test.pulses[name], look, fits[name], colour_of(name, names))
-    axes[0].set_ylabel(look.label)
-    told = {
+        _panel(axis, test.pulses[name], style, fits[name], colour_of(name, names))
+    axes[0].set_ylabel(style.label)
+    handles_by_label = {
         label: handle
         for axis in axes
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(list(told.values()), list(told), loc="outside lower center", ncols=3)
+    figure.legend(
+        list(handles_by_label.values()), list(handles_by_label), loc="outside lower center", ncols=3
+    )
     name_panels(axes, [f"position {name}" for name in names])
     notes = tuple(f"No fit at {name}: {fit}." for name, fit in fits.items() if isinstance(fit, str))
     return item.Product(
         drawing=figure,
-        tables={"": _table(test, look, fits), "fits": _fit_table(fits)},
+        tables={"": _table(test, style, fits), "fits": _fit_table(fits)},
         found=found_by(fits),
         notes=notes,
     )
 
 
-def _panel(axis: Axes, pulses: SolitaryWaves, look: _Look, fit: _Fit | str, colour: str) -> None:
+def _panel(axis: Axes, pulses: SolitaryWaves, style: _FeatureStyle, fit: _Fit | str, colour: str) -> None:
+    """Draw a feature of one transducer."""
     axis.plot(
         pulses.hour_h,
-        look.scale * pulses.values[look.column],
+        style.scale * pulses.values[style.column],
         ".",
         color=colour,
         alpha=0.45,
@@ -94,22 +98,26 @@ def _panel(axis: Axes, pulses: SolitaryWaves, look: _Look, fit: _Fit | str, colo
     if isinstance(fit, _Fit):
         hours = np.linspace(0.0, fit.last_h, 100)
         axis.plot(hours, fit.trend.at(hours), color=BLACK, lw=1.2, label="our fit, second order")
-    for number, (told, value) in enumerate(look.paper_marks(pulses.position)):
-        hour = 0.0 if told == "start" else float(pulses.hour_h[-1] if isinstance(fit, str) else fit.last_h)
+    for number, (end_name, value) in enumerate(style.paper_marks(pulses.position)):
+        hour = (
+            0.0 if end_name == "start" else float(pulses.hour_h[-1] if isinstance(fit, str) else fit.last_h)
+        )
         axis.plot([hour], [value], **PAPER_MARK, label="paper, beginning and end" if number == 0 else None)
 
 
-def _table(test: Evidence, look: _Look, fits: Mapping[str, _Fit | str]) -> item.Table:
+def _table(test: Evidence, style: _FeatureStyle, fits: Mapping[str, _Fit | str]) -> item.Table:
+    """Return a feature and its fit as a table."""
+
     def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
         fit, hours = fits[pulses.position], pulses.hour_h
-        fitted = fit.trend.at(hours) / look.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
-        return {look.column: pulses.values[look.column], f"fit_of_{look.column}": fitted}
+        fitted = fit.trend.at(hours) / style.scale if isinstance(fit, _Fit) else np.full(hours.size, np.nan)
+        return {style.column: pulses.values[style.column], f"fit_of_{style.column}": fitted}
 
     return item.stacked(test, columns)
 
 
 def _fit_table(fits: Mapping[str, _Fit | str]) -> item.Table:
-    """Coefficients in the axis's unit: value = constant + linear t + quadratic t^2, t in h."""
+    """Return the coefficients in the axis's unit: constant + linear t + quadratic t^2, t in h."""
     rows = [(name, fit) for name, fit in fits.items() if isinstance(fit, _Fit)]
     return item.Table(
         columns={
@@ -126,6 +134,7 @@ def _fit_table(fits: Mapping[str, _Fit | str]) -> item.Table:
 
 
 def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], float]) -> item.Found:
+    """Return a value of a position's fit, or why it is missing."""
     fit = fits.get(position)
     if fit is None:
         return item.missing(f"the test has no solitary-wave position {position}")
@@ -135,7 +144,7 @@ def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], f
 
 
 def draw_fig8(material: item.Material) -> item.Product:
-    """Time of flight by peaks."""
+    """Draw the time of flight by peaks."""
 
     def marks(position: str) -> Sequence[tuple[str, float]]:
         if position not in ("B", "C", "D"):
@@ -148,12 +157,14 @@ def draw_fig8(material: item.Material) -> item.Product:
         start = {f"tof_start_{p}": _of(fits, p, lambda fit: fit.trend.constant) for p in "BCD"}
         return {**start, **{f"tof_rise_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}}
 
-    look = _Look(column="tof_pp_s", scale=1e6, label="time of flight, peak to peak (µs)", paper_marks=marks)
-    return _draw(material, look, values)
+    style = _FeatureStyle(
+        column="tof_pp_s", scale=1e6, label="time of flight, peak to peak (µs)", paper_marks=marks
+    )
+    return _draw(material, style, values)
 
 
 def draw_fig9(material: item.Material) -> item.Product:
-    """Amplitude ratio."""
+    """Draw the amplitude ratio."""
 
     def marks(position: str) -> Sequence[tuple[str, float]]:
         if position not in ("B", "C", "D"):
@@ -168,22 +179,22 @@ def draw_fig9(material: item.Material) -> item.Product:
         fall = {f"ar_fall_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
         return {**start, **end, **fall}
 
-    look = _Look(
+    style = _FeatureStyle(
         column="amplitude_ratio", scale=1.0, label="amplitude ratio PSW / ISW (1)", paper_marks=marks
     )
-    return _draw(material, look, values)
+    return _draw(material, style, values)
 
 
 def draw_fig11(material: item.Material) -> item.Product:
-    """ISW amplitude; the paper prints no number, only that there is no trend."""
+    """Draw the ISW amplitude; the paper prints no number, only that there is no trend."""
 
     def values(fits: Mapping[str, _Fit | str]) -> dict[str, item.Found]:
         return {f"isw_trend_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
 
-    look = _Look(
+    style = _FeatureStyle(
         column="isw_amplitude_v", scale=1.0, label="amplitude of the ISW (V)", paper_marks=lambda _: ()
     )
-    return _draw(material, look, values)
+    return _draw(material, style, values)
 
 
 _PARABOLA = "Each point is a set's feature, the line a second-order fit through all of them"

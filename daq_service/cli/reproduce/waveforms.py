@@ -1,4 +1,4 @@
-"""Figure 7: the recorded solitary waves of each transducer over the test."""
+"""Draw figure 7: the recorded solitary waves of each transducer over the test."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOM = 1.8
 
 
 def draw_fig7(material: item.Material) -> item.Product:
-    """Averaged records, later ones higher up, with the marks that the features come from."""
+    """Draw averaged waveforms, later ones higher, with the marks of the features."""
     test = material.test
     names = [name for name in test.pulses if test.traces.get(name)]
     if not names:
@@ -51,6 +51,7 @@ def draw_fig7(material: item.Material) -> item.Product:
 def _waterfall(
     axis: Axes, traces: Sequence[Trace], pulses: SolitaryWaves, last_h: float, colour: str
 ) -> None:
+    """Draw the averaged records of a position and the times of their features."""
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
     hours = np.array([trace.hour_h for trace in traces])
@@ -61,30 +62,31 @@ def _waterfall(
         quiet_v = float(np.median(trace.volts[: max(1, int(np.searchsorted(time_us, -20.0)))]))
         lifted_h = trace.hour_h + ROOM * spacing_h * (trace.volts - quiet_v) / height_v
         axis.plot(time_us[shown], lifted_h[shown], color=colour, lw=0.7)
-    for column, mark, told in (
+    for column, mark, name in (
         ("isw_time_s", BLACK, "ISW"),
         ("psw_time_s", PURPLE, "PSW"),
         ("ssw_time_s", ORANGE, "SSW"),
     ):
-        drawn = np.isin(pulses.hour_h, hours)
+        is_drawn = np.isin(pulses.hour_h, hours)
         axis.plot(
-            1e6 * pulses.values[column][drawn],
-            pulses.hour_h[drawn],
+            1e6 * pulses.values[column][is_drawn],
+            pulses.hour_h[is_drawn],
             linestyle="none",
             marker="|",
             markersize=5,
             markeredgewidth=1.2,
             color=mark,
-            label=f"time of the {told}",
+            label=f"time of the {name}",
         )
 
 
 def _every(trace: Trace) -> int:
+    """Return the step between drawn samples."""
     return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
 
 
 def _table(traces: Sequence[Trace]) -> item.Table:
-    """All traces of a position on the first one's times; another record length is padded with nothing."""
+    """Return all traces of a position at the times of the first one; shorter ones are padded."""
     first = traces[0].time_s
     every = _every(traces[0])
     columns: dict[str, list[Any]] = {"time_s": [round(float(t), 9) for t in first[::every]]}
@@ -96,7 +98,7 @@ def _table(traces: Sequence[Trace]) -> item.Table:
 
 
 def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
-    """Time from the striker's touch: the record's own zero is the trigger, which the paper does not state."""
+    """Return the time from the striker's contact; a record's zero is the trigger instead."""
     times = [
         trace.truth["isw_time_s"]
         for name in names
@@ -113,6 +115,7 @@ def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, item.Found]:
 
 
 def _change(test: Evidence, position: str) -> item.Found:
+    """Return the hour of the first alarm at a position."""
     if position not in test.pulses:
         return item.missing(f"the test has no solitary-wave position {position}")
     hour = test.pulses[position].first_alarm_h
@@ -120,8 +123,8 @@ def _change(test: Evidence, position: str) -> item.Found:
         return item.missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
     rule = test.configuration.get("alarms", {})
     by_chart = rule.get("decides_by") == "chart"
-    told = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
-    return item.found(hour, f"first alarm ({told})")
+    rule_text = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
+    return item.found(hour, f"first alarm ({rule_text})")
 
 
 FIG7 = item.Item(

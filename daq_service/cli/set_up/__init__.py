@@ -1,1 +1,1 @@
-"""What a computer needs before a test: a configuration (`init`, `setup`), its services (`service`)."""
+"""Prepare a computer for a test: configuration (`init`, `setup`) and services (`service`)."""

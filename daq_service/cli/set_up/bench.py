@@ -1,4 +1,4 @@
-"""The transducers of a set-up: how they are wired, what their inputs showed, what that proposes."""
+"""Transducers of a set-up: wiring, recorded waveforms, and the proposed settings."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ READ_TIMEOUT_S = 30.0
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Bench:
-    """Wired transducers; the boards are used by one thread of its own, whoever asks.
+    """Wired transducers; one thread of its own uses the boards.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Bench:
     )
 
     def wire(self, position: str, wiring: TransducerWiring) -> Waveform:
-        """Take a transducer in with the range of a first look, and record its input at rest.
+        """Add a transducer with the range of a first record, and record its input at rest.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class Bench:
         return self.quiet[position]
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Record at rest what the page looks at; what is judged stays what it was.
+        """Record at rest for the page; the stored records do not change.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class Bench:
         return position, self._on_boards(position, lambda free: free.quiet())
 
     def strike(self, position: str) -> None:
-        """Strike once and keep the whole record.
+        """Strike once and keep the complete record.
 
         Raises
         ------
@@ -137,12 +137,12 @@ class Bench:
             self.strikes += 1
 
     def take_range(self, position: str, range_v: float) -> None:
-        """Look at a transducer in another range from now on."""
+        """Use another range for a transducer and record its input."""
         self.transducers[position] = replace(self.transducers[position], range_v=range_v)
         self.look(position)
 
     def proposal(self) -> Proposal | None:
-        """Judge all strikes so far; None before the first.
+        """Assess all strikes so far; None before the first.
 
         Raises
         ------
@@ -164,7 +164,7 @@ class Bench:
         )
 
     def newest(self) -> dict[str, Any]:
-        """Return the newest strike whole, and the shot in it that the proposal would have recorded."""
+        """Return the newest strike, and the shot in it that the proposal would record."""
         position, strike = self.position, self.struck.get(self.position or "")
         if position is None or strike is None:
             return {"strike": None, "shot": None}
@@ -191,12 +191,12 @@ class Bench:
         return answer | shot_drawn(shot, extract_features(shot), rising=proposal.rising)
 
     def ranges_v(self, wiring: TransducerWiring) -> list[float]:
-        """Ranges -r .. +r of the transducer's board, rising."""
+        """Return the ranges -r .. +r of the transducer's board in V, rising."""
         board = self.boards[wiring.board_serial]
         return sorted(high for low, high in board.ranges_v if math.isclose(-low, high))
 
     def parameters(self, position: str | None = None) -> DaqmxParameters:
-        """Return the driver's parameters with what was chosen, of all transducers or to look at one."""
+        """Return the driver's parameters with the chosen values, of all transducers or of one."""
         wirings = self.transducers if position is None else {position: self.transducers[position]}
         rate_hz = min(
             PAPER_RATE_HZ, *(self.boards[wiring.board_serial].max_rate_hz for wiring in wirings.values())
@@ -222,7 +222,7 @@ class Bench:
         )
 
     def _not_struck(self, pretrigger_s: float) -> dict[str, float]:
-        """Hold off as for a coil that does not ring, where the boards can."""
+        """Return the holdoff for a coil that does not ring, if the boards support it."""
         if not self.holds_off:
             return {}
         return {
@@ -230,7 +230,7 @@ class Bench:
         }
 
     def choose(self, proposal: Proposal) -> None:
-        """Take a proposal over, as it is or as a person changed it.
+        """Accept a proposal, as it is or as a person changed it.
 
         Raises
         ------
@@ -259,31 +259,34 @@ class Bench:
         return {name: value for name, value in asdict(self.parameters()).items() if value is not None}
 
     def close(self) -> None:
-        """Give the boards free."""
-        self._thread.submit(self._let_go).result()
+        """Release the boards."""
+        self._thread.submit(self._release).result()
         self._thread.shutdown()
 
     def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
+        """Run work in the thread of the boards."""
         return self._thread.submit(self._work, position, self.parameters(position), work).result()
 
     def _work(self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]) -> T:
+        """Open the input of a position if necessary, and work with it."""
         from hardware_drivers.daqmx.pulse_record import FreeInput
 
         if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
-            self._let_go()
+            self._release()
             self._free = FreeInput(parameters, position, READ_TIMEOUT_S)
         try:
             return work(self._free)
         except BaseException:
-            self._let_go()
+            self._release()
             raise
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
+        """Close the open input."""
         free, self._free = self._free, None
         if free is not None:
             free.close()
 
 
 def rms_v(record: Waveform) -> float:
-    """Noise of a record, hum included."""
+    """Return the noise of a record in V rms, hum included."""
     return float(np.std(record.volts()))

@@ -1,4 +1,4 @@
-"""Questions with one answer each, from the terminal or from the page, whichever comes first."""
+"""Ask questions at the terminal and on the page; the first answer counts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KEPT_LINES = 500
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """What is asked.
+    """A question to a person.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """Text, None at a terminal's end; the question it is to, None for the next one (a file of answers)."""
+    """Text (None at the terminal's end), and the question that it answers (None: the next one)."""
 
     text: str | None
     number: int | None = None
@@ -51,12 +51,12 @@ class _Answer:
 
 @dataclass(slots=True)
 class Dialogue:
-    """One person, at the terminal or at the page.
+    """A dialogue with one person, at the terminal or on the page.
 
     Attributes
     ----------
     lines
-        All that was told.
+         All reported lines.
     number
         Of the question that waits: an answer to an earlier one is none to this.
     """
@@ -68,17 +68,17 @@ class Dialogue:
     _answers: queue.Queue[_Answer] = field(default_factory=queue.Queue)
     _reads: bool = False
 
-    def tell(self, text: str = "") -> None:
-        """Say something: on standard error, since standard output may be a program's."""
+    def report(self, text: str = "") -> None:
+        """Print a line on standard error, since standard output may belong to a program."""
         click.echo(text, err=True)
         self.lines = [*self.lines, text][-KEPT_LINES:]
 
-    def ask(self, question: Question, understood: Callable[[str], T]) -> T:
-        """Ask until an answer is understood.
+    def ask(self, question: Question, parse: Callable[[str], T]) -> T:
+        """Ask until an answer is valid.
 
         Parameters
         ----------
-        understood
+        parse
             Makes a value of the answer, or raises ValueError with what is wrong.
 
         Raises
@@ -99,9 +99,9 @@ class Dialogue:
                 try:
                     if question.choices and text not in question.choices:
                         raise ValueError(f"{text!r} is none of {', '.join(question.choices)}")
-                    value = understood(text)
+                    value = parse(text)
                 except ValueError as error:
-                    self.tell(f"  {error}")
+                    self.report(f"  {error}")
                     continue
                 self.lines = [*self.lines, f"{question.text}: {text}"]
                 return value
@@ -110,12 +110,12 @@ class Dialogue:
                 self._waiting = None
 
     def yes(self, name: str, text: str, *, default: str) -> bool:
-        """Ask for a yes or a no."""
+        """Ask for yes or no."""
         question = Question(name=name, text=text, default=default, choices=("yes", "no"))
         return self.ask(question, lambda answer: answer == "yes")
 
     def answer(self, number: int, text: str) -> bool:
-        """Take the page's answer; False where another question waits by now."""
+        """Accept the page's answer; False if another question is waiting."""
         with self._lock:
             if self._waiting is None or number != self.number:
                 return False
@@ -123,21 +123,22 @@ class Dialogue:
         return True
 
     def as_row(self) -> Mapping[str, Any]:
-        """Return what the page shows."""
+        """Return the state for the page."""
         with self._lock:
             waiting, number = self._waiting, self.number
-        asked = None
+        question = None
         if waiting is not None:
-            asked = {
+            question = {
                 "number": number,
                 "name": waiting.name,
                 "text": waiting.text,
                 "default": waiting.default,
                 "choices": list(waiting.choices),
             }
-        return {"question": asked, "lines": self.lines}
+        return {"question": question, "lines": self.lines}
 
     def _next(self, question: Question) -> str:
+        """Wait for the next valid answer."""
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK_S)
@@ -156,11 +157,13 @@ class Dialogue:
             return answer.text.strip()
 
     def _read_terminal(self) -> None:
+        """Start the thread that reads the terminal."""
         if not self._reads:
             self._reads = True
             threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
 
     def _lines_of(self, stream: Any) -> None:
+        """Put the lines of a stream into the queue of answers."""
         typed = stream.isatty()
         for line in stream:
             # What a person typed to an earlier question, or while the rig was at work, answers no later one.

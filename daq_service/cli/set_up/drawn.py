@@ -1,4 +1,4 @@
-"""What the page of a set-up draws: records in columns, and the shot with its marks."""
+"""Prepare records and shots for drawing on the set-up page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ COLUMNS = 1000
 
 
 def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, Any]:
-    """Lowest and highest voltage of each of `COLUMNS` stretches of a record.
+    """Return the lowest and highest voltage of each of `COLUMNS` sections of a record.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, Any]:
 
 
 def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -> dict[str, Any]:
-    """Return a shot as it is recorded, its waves marked and its flags."""
+    """Return a shot with marks of its waves and its flags."""
     sign = 1.0 if rising else -1.0
     marks = {
         "ISW": (features.isw_time_s, sign * features.isw_amplitude_v),

@@ -1,4 +1,4 @@
-"""``solimon init``: write a commented configuration, and its schema beside it for the editor."""
+"""``solimon init``: write a commented configuration and its JSON Schema for the editor."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_configuration(
     switch_off: Sequence[str],
     as_json: bool,
 ) -> None:
-    """Carry out ``init``."""
+    """Run ``init``."""
     if (source is not None) != (kind == "playback"):
         raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
     values, off = laboratory() if kind == "rig" else (_twin() if source is None else _playback(source), set())
@@ -96,7 +96,7 @@ def write_configuration(
 
 
 def schema_text() -> str:
-    """Return what ``config/settings.schema.json`` holds."""
+    """Return the contents of ``config/settings.schema.json``."""
     return json.dumps(settings_schema(), indent=1) + "\n"
 
 
@@ -104,7 +104,7 @@ def schema_text() -> str:
 
 
 def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
-    """Read the shipped laboratory.toml, which `init rig` gives again; and what it has switched off."""
+    """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
     text = config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
     tables = {key[:depth] for key in flattened(values) for depth in range(1, len(key))}
@@ -112,23 +112,24 @@ def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
 
 
 def _twin() -> dict[str, Any]:
+    """Read the values of the shipped configuration of the twin."""
     return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
 def _playback(source: Path) -> dict[str, Any]:
-    """Of a test of solimon the configuration that it was recorded with; of other files the paper's."""
+    """Return the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
     playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
-    kept = read_experiment(source) if source.is_dir() else None
+    experiment = read_experiment(source) if source.is_dir() else None
     values = _twin()
-    if kept is not None:
+    if experiment is not None:
         try:
-            recorded = stored_settings(kept.configuration).model_dump(mode="json", exclude_none=True)
+            recorded = stored_settings(experiment.configuration).model_dump(mode="json", exclude_none=True)
         except ValidationError as error:
             raise UsageError(f"{source} was recorded by a version with other keys: {error}") from error
         values = {name: recorded[name] for name in values}
-        values["clock"] = {"kind": "simulated", "epoch": format_utc(kept.epoch_utc_ns, 9)}
+        values["clock"] = {"kind": "simulated", "epoch": format_utc(experiment.epoch_utc_ns, 9)}
     elif not (source / "sets").is_dir():
         mapping = asdict(TdmsMapping())
         playback["format"] = "tdms"
@@ -137,13 +138,13 @@ def _playback(source: Path) -> dict[str, Any]:
     for place in values["positions"].values():
         for name in OF_THE_TWIN:
             place.pop(name, None)
-    # Not the folder of the recording, which may lie beside the file.
+    # Not the folder of the recording, which may be next to the file.
     values["storage"] = {**values["storage"], "folder": "playback-data"}
     return {**values, "rig": {"kind": "playback", "playback": playback}}
 
 
 def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
-    """Lay ``KEY=VALUE`` over the values; a ``*`` in a key stands for any part of it."""
+    """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
     keys = {".".join(path): path for path in flattened(values)}
     filled = flattened(values)
     for assignment in assignments:
@@ -157,6 +158,7 @@ def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str
 
 
 def _read(text: str, *, like: Any) -> Any:
+    """Parse a value of the type of another one."""
     if isinstance(like, str):
         return text
     try:
@@ -166,6 +168,7 @@ def _read(text: str, *, like: Any) -> Any:
 
 
 def _table(values: Mapping[str, Any], name: str) -> KeyPath:
+    """Return the path of a named table."""
     tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
     if name not in tables:
         raise _no_such(name, tables, "--with or --without TABLE")
@@ -173,15 +176,18 @@ def _table(values: Mapping[str, Any], name: str) -> KeyPath:
 
 
 def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
+    """Return the error for an unknown name."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
 def _without(values: Mapping[str, Any], off: Collection[KeyPath]) -> dict[str, Any]:
+    """Return the values without switched-off tables."""
     return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
 
 
 def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
+    """Return whether a key is in one of the tables."""
     return any(key[: len(table)] == table for table in tables)
 
 
@@ -189,17 +195,17 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
-    """Say in a file of `solimon setup` what it was made for, and from what."""
-    told = (
+    """Return the head of a file of `solimon setup`: instruments and strikes."""
+    sentence = (
         f"From strikes of {', '.join(struck)}."
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=told)
+    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
 def refuse_what_is_there(file: Path) -> Path:
-    """Refuse to write over anything; the schema's path."""
+    """Raise an error if a file would be overwritten; return the schema's path."""
     if file.suffix != ".toml":
         raise UsageError(f"{file} will hold TOML: let its name end in .toml")
     schema = file.absolute().parent / SCHEMA
@@ -214,12 +220,12 @@ def refuse_what_is_there(file: Path) -> Path:
 
 
 def settings_of(values: Mapping[str, Any], off: Collection[KeyPath], file: Path) -> Settings:
-    """Return the settings that the file will hold; UsageError as of a file that is read."""
+    """Return the settings of the new file; UsageError as for a file that is read."""
     return checked_settings(_without(values, off), file.absolute())
 
 
 def write_file(file: Path, values: Mapping[str, Any], *, head: str, off: Collection[KeyPath]) -> None:
-    """Write a commented configuration, and its schema beside it."""
+    """Write a commented configuration and its schema."""
     _write(refuse_what_is_there(file), schema_text())
     _write(file, commented_toml(values, head=head, switched_off=off))
 

@@ -1,4 +1,4 @@
-"""A set-up of instruments of any installed kind: which serves a position, its parameters, what it shows."""
+"""Set up instruments of any installed kind: roles, parameters and test strikes."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ NOT_INSTRUMENTS = frozenset({"twin", "playback"})
 
 
 def other_kinds() -> dict[str, Offer]:
-    """Kinds of packages beside solimon's own boards, that digitize or strike."""
-    own = NOT_INSTRUMENTS | {"daqmx"}
+    """Return the installed kinds other than NI boards that digitize or strike."""
+    excluded = NOT_INSTRUMENTS | {"daqmx"}
     return {
         name: offer
         for name, offer in offers().items()
-        if name not in own and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
+        if name not in excluded and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
     }
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class KindsBench:
-    """Instruments, each named as its kind; opened for one strike at a time.
+    """Instruments named by their kind; opened for one strike at a time.
 
     Attributes
     ----------
     parameters
-        Keys that somebody gave, by instrument.
+        Given keys by instrument.
     served
         Instrument of each role, by position.
     trials
@@ -69,11 +69,11 @@ class KindsBench:
     trials: dict[str, Trial] = field(default_factory=dict)
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Tell the page what it looks at; nothing is recorded between strikes."""
+        """Return the position of the page; nothing is recorded between strikes."""
         return self.position, None
 
     def newest(self) -> dict[str, Any]:
-        """Return the newest record of the position that the page looks at."""
+        """Return the newest record of the page's position."""
         answer: dict[str, Any] = {"strike": None, "shot": None}
         trial = self.trials.get(self.position or "")
         if trial is None or trial.record is None or trial.features is None:
@@ -83,25 +83,25 @@ class KindsBench:
         return answer | shot_drawn(trial.record, trial.features)
 
     def able(self, role: Role) -> list[str]:
-        """Instruments that can take a role."""
+        """Return the instruments that can take a role."""
         return [name for name, offer in self.offers.items() if role in offer.roles]
 
     def known(self, instrument: str) -> dict[str, Any]:
-        """Parameters of an instrument by name, as JSON schema describes each."""
+        """Return the parameters of an instrument by name, as JSON Schema."""
         kind, _ = find_kind(instrument)
         adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
         properties: dict[str, Any] = adapter.json_schema().get("properties", {})
         return properties
 
     def given_in(self, text: str) -> str | None:
-        """Take a parameter as `give`; None for ``-``."""
+        """Set a parameter as `give`; None for ``-``."""
         if text == "-":
             return None
         self.give(text)
         return text
 
     def give(self, text: str) -> None:
-        """Take ``INSTRUMENT.KEY=VALUE``; dots in KEY lead into a table; no VALUE: its default again.
+        """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE it gets its default again.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class KindsBench:
             table.pop(keys[-1], None)
 
     def values(self, others: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the file will hold; `others` are further tables of [rig]."""
+        """Return the values of the new file; `others` are further tables of [rig]."""
         values, _ = laboratory()
         labels = {name: place["label"] for name, place in values["positions"].items()}
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
@@ -150,16 +150,16 @@ class KindsBench:
         }
 
     def settings(self) -> Settings:
-        """Return the settings so far; UsageError tells what is missing or wrong."""
+        """Return the settings so far; UsageError describes what is missing or wrong."""
         return settings_of(self.values({}), set(), self.file)
 
     def checks(self) -> list[Check]:
-        """Look at every instrument that serves a position; nothing strikes."""
+        """Check every instrument that serves a position; nothing strikes."""
         settings = self.settings()
         return list(rig_checks(settings, configured(settings), set(), lambda what: None))
 
     def strike(self, position: str, dialogue: Dialogue) -> Trial:
-        """Strike once as every shot is, and keep what came.
+        """Strike once like a normal shot, and keep the result.
 
         Raises
         ------
@@ -169,17 +169,17 @@ class KindsBench:
         with held_folder(self.data_folder) as owner:
             if owner:
                 raise BusyError(f"a strike is refused: {owner}")
-            trial = strike_transducer(self.settings(), position, tell=dialogue.tell)
+            trial = strike_transducer(self.settings(), position, report=dialogue.report)
         self.position, self.trials[position] = position, trial
         self.strikes += 1
         return trial
 
     def close(self) -> None:
-        """Nothing is open between strikes."""
+        """Do nothing: nothing is open between strikes."""
 
 
 def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path) -> KindsBench:
-    """Take the kinds of these names, and what is known of their parameters.
+    """Create a bench of the named kinds with given parameters.
 
     Raises
     ------
@@ -187,20 +187,20 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
         One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
         parameter is none.
     """
-    there = other_kinds()
+    available = other_kinds()
     try:
         for name in names:
             find_kind(name)
     except ConfigurationError as error:
         raise UsageError(f"--kind: {error}") from error
-    if idle := sorted(set(names) - set(there)):
+    if idle := sorted(set(names) - set(available)):
         raise UsageError(
             f"--kind: {', '.join(idle)} neither digitizes nor strikes here; NI boards are set up without "
-            f"--kind, and others are: {', '.join(there) or 'none installed'}"
+            f"--kind, and others are: {', '.join(available) or 'none installed'}"
         )
     for role in ROLES_OF_A_TRANSDUCER:
-        if not any(role in there[name].roles for name in names):
-            able = ", ".join(name for name, offer in there.items() if role in offer.roles)
+        if not any(role in available[name].roles for name in names):
+            able = ", ".join(name for name, offer in available.items() if role in offer.roles)
             raise UsageError(
                 f"--kind: none of {', '.join(names)} is a {role}; add one that is: "
                 f"{able or 'none is installed (docs/how-to/write-a-driver.md)'}"
@@ -208,7 +208,7 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
     bench = KindsBench(
         file=file,
         data_folder=folder,
-        offers={name: there[name] for name in names},
+        offers={name: available[name] for name in names},
         parameters={name: {} for name in names},
     )
     try:
@@ -220,7 +220,7 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
 
 
 def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
-    """Wire what the flags name, ``DIGITIZER/STRIKER`` a position; strike only if they say so.
+    """Wire the positions of the flags, ``DIGITIZER/STRIKER`` each; strike only if requested.
 
     Raises
     ------
@@ -240,9 +240,9 @@ def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
 
 
 def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
-    """Go from position to position until no more is named."""
+    """Ask for positions until the person ends."""
     for name in bench.offers:
-        dialogue.tell(f"{name}: {_in_words(bench, name)}")
+        dialogue.report(f"{name}: {_in_words(bench, name)}")
     while (position := ask_position(dialogue, bench.served)) is not None:
         bench.served[position] = {
             role: _instrument(dialogue, bench, position, role) for role in ROLES_OF_A_TRANSDUCER
@@ -254,7 +254,7 @@ def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
             try:
                 trial = bench.strike(position, dialogue)
             except BusyError as error:
-                dialogue.tell(f"  {error}")
+                dialogue.report(f"  {error}")
                 continue
             _print_checks(dialogue, trial.checks)
             _propose_level(dialogue, bench, position, trial)
@@ -264,7 +264,7 @@ def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
 def _instrument(dialogue: Dialogue, bench: KindsBench, position: str, role: Role) -> str:
     able = bench.able(role)
     if len(able) == 1:
-        dialogue.tell(f"{position}      {role}: {able[0]}")
+        dialogue.report(f"{position}      {role}: {able[0]}")
         return able[0]
     question = Question(
         name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
@@ -273,13 +273,13 @@ def _instrument(dialogue: Dialogue, bench: KindsBench, position: str, role: Role
 
 
 def _change(dialogue: Dialogue, bench: KindsBench) -> None:
-    """Ask for parameters until they are good and nobody changes one."""
+    """Ask for parameters until they are valid and no change is requested."""
     while True:
         good = True
         try:
             bench.settings()
         except UsageError as error:
-            dialogue.tell(str(error))
+            dialogue.report(str(error))
             good = False
         question = Question(
             name="parameter",
@@ -292,14 +292,14 @@ def _change(dialogue: Dialogue, bench: KindsBench) -> None:
 
 
 def _propose_level(dialogue: Dialogue, bench: KindsBench, position: str, trial: Trial) -> None:
-    """Offer a tenth of the incident wave as trigger level where the digitizer has such a parameter."""
+    """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
     digitizer = bench.served[position]["digitizer"]
     unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
     if not unfit or LEVEL not in bench.known(digitizer):
         return
     level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
     proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
-    dialogue.tell(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
+    dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
     if dialogue.yes("accept", "Take this value", default="yes"):
         bench.parameters[digitizer][LEVEL] = proposed_v
 
@@ -307,16 +307,16 @@ def _propose_level(dialogue: Dialogue, bench: KindsBench, position: str, trial: 
 def _print_checks(dialogue: Dialogue, checks: Sequence[Check]) -> None:
     for check in checks:
         remedy = f"; {check.remedy}" if check.remedy else ""
-        dialogue.tell(f"{check.state:<6} {check.name}: {check.found}{remedy}")
+        dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
 
 
 def _in_words(bench: KindsBench, name: str) -> str:
-    """Say which parameters there are, and what each is where nobody gives it."""
-    told = [
+    """Describe the roles and parameters of an instrument, with defaults."""
+    texts = [
         f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
         for key, schema in bench.known(name).items()
     ]
-    return f"{' and '.join(bench.offers[name].roles)}; {', '.join(told) or 'no parameters'}"
+    return f"{' and '.join(bench.offers[name].roles)}; {', '.join(texts) or 'no parameters'}"
 
 
 def _toml_value(text: str) -> Any:
@@ -329,7 +329,7 @@ def _toml_value(text: str) -> Any:
 def write_kinds(
     dialogue: Dialogue, bench: KindsBench, others: Mapping[str, Any], off: set[KeyPath]
 ) -> dict[str, Any]:
-    """Write the file and its schema, and say what comes next; what ``--json`` prints."""
+    """Write the file and its schema, print the next steps, and return the result for ``--json``."""
     del off  # of other instruments only what is there has a table
     values = bench.values(others)
     settings = settings_of(values, set(), bench.file)

@@ -1,4 +1,4 @@
-"""``notify test``: whether receivers are reached, from this computer and as this user."""
+"""``notify test``: send test messages to receivers from this computer as this user."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq_service.processes.notifications.webhook import Outcome, post
 
 
 def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int:
-    """Send a trial message to one receiver, or to all, and print what became of each.
+    """Send a test message to one receiver, or to all, and print the results.
 
     Raises
     ------
@@ -33,14 +33,16 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
         raise UsageError(f"no {wanted}; there are: {names} (see [notifications.receivers.NAME])")
     results: dict[str, Outcome] = {}
     for name in receivers if receiver is None else [receiver]:
-        own, test = receivers[name], Test(name=settings.name, mark="terminal")
-        address = address_of(name, own)
+        receiver_settings, test = receivers[name], Test(name=settings.name, mark="terminal")
+        address = address_of(name, receiver_settings)
         message = trial_message(test, name, user_name(), now_ns=time.time_ns())
-        results[name] = notify(address, message) if own.kind == "apprise" else post(address, message)
+        results[name] = (
+            notify(address, message) if receiver_settings.kind == "apprise" else post(address, message)
+        )
         if not as_json:
             click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].told}")
     if as_json:
         keys = ("ok", "told", "status")
-        told = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}
-        click.echo(json.dumps({"receivers": told}))
+        outcomes = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}
+        click.echo(json.dumps({"receivers": outcomes}))
     return EXIT_OK if all(result.ok for result in results.values()) else EXIT_NOT_MET

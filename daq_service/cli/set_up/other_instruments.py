@@ -1,4 +1,4 @@
-"""What a set-up asks of probes, supply and climate probe: each is reached and tells its own name."""
+"""Ask for probes, supply and climate probe; each is connected and identified."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 def ask_for_others(
     dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
 ) -> tuple[dict[str, Any], set[KeyPath]]:
-    """Return tables of [rig] for what is there, and the tables of what is not, to be switched off.
+    """Return tables of [rig] for existing instruments, and the tables to switch off.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def ask_for_others(
     tables: dict[str, Any] = {}
     known = _probes(probes or {})
     if asks and probes is not None:
-        known |= _asked(
+        known |= _ask_for_address(
             dialogue, "probe", "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it", _probes_at_a
         )
     if known:
@@ -48,32 +48,34 @@ def ask_for_others(
     if asks and not (supply and climate):
         from hardware_drivers.serial_port.port import serial_ports
 
-        for port, words in serial_ports().items():
-            dialogue.tell(f"found  {port} ({words})")
-    for name, port, text, reach in (
+        for port, description in serial_ports().items():
+            dialogue.report(f"found  {port} ({description})")
+    for name, port, text, connect in (
         ("supply", supply, "Serial port of the supply that drives the corrosion", _supply),
         ("climate", climate, "Serial port of a thermometer and hygrometer", _climate),
     ):
-        table = reach(port) if port else {}
+        table = connect(port) if port else {}
         if asks and not port:
-            table = _asked(dialogue, name, text, reach)
+            table = _ask_for_address(dialogue, name, text, connect)
         if table:
             tables[name] = table
-            dialogue.tell(f"{name}: {table['identity']}")
+            dialogue.report(f"{name}: {table['identity']}")
     off: set[KeyPath] = {("rig", name) for name in ("niscope", "supply", "climate") if name not in tables}
     return tables, off
 
 
-def _asked(dialogue: Dialogue, name: str, text: str, reach: Callable[[str], dict[str, T]]) -> dict[str, T]:
+def _ask_for_address(
+    dialogue: Dialogue, name: str, text: str, connect: Callable[[str], dict[str, T]]
+) -> dict[str, T]:
     """Ask for an address until it answers, or there is none."""
 
-    def understood(address: str) -> dict[str, T]:
+    def parse(address: str) -> dict[str, T]:
         try:
-            return {} if address == "-" else reach(address)
+            return {} if address == "-" else connect(address)
         except InstrumentError as error:
             raise ValueError(str(error)) from error
 
-    return dialogue.ask(Question(name=name, text=f"{text}, - for none", default="-"), understood)
+    return dialogue.ask(Question(name=name, text=f"{text}, - for none", default="-"), parse)
 
 
 def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
@@ -81,7 +83,7 @@ def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
 
 
 def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
-    """Reach each probe's board for its serial number."""
+    """Connect to each probe's board and read its serial number."""
     found = {}
     for name, address in addresses.items():
         from hardware_drivers.niscope.pulse_echo import open_niscope
@@ -96,24 +98,25 @@ def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
 
 
 def _supply(port: str) -> dict[str, Any]:
-    """Ask the supply who it is, and nothing else."""
+    """Read the supply's identity, and nothing else."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
-        return _plain(SupplyParameters(line=line, identity=_expected(there.identity())))
+    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as supply:
+        return _plain(SupplyParameters(line=line, identity=_expected(supply.identity())))
 
 
 def _climate(port: str) -> dict[str, Any]:
+    """Read the climate probe's identity."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     line = SerialLineParameters(port=port)
-    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
-        return _plain(ClimateParameters(line=line, identity=_expected(there.identity())))
+    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as probe:
+        return _plain(ClimateParameters(line=line, identity=_expected(probe.identity())))
 
 
 def _expected(identity: Mapping[str, str]) -> str:
-    """Regular expression of maker, model and serial number: the firmware may change."""
+    """Return the regular expression of maker, model and serial number: the firmware may change."""
     parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
     return ",".join(re.escape(part) for part in parts)
 

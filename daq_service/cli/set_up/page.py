@@ -1,4 +1,4 @@
-"""The page of a set-up, on loopback: a live scope, and the same questions as at the terminal."""
+"""Serve the set-up page on loopback: a live scope, and the questions of the terminal."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FAREWELL_S = 2.0
 
 
 class Scope(Protocol):
-    """What the page looks at."""
+    """Source of the page's waveforms."""
 
     @property
     def position(self) -> str | None:
@@ -40,22 +40,22 @@ class Scope(Protocol):
         ...
 
     def watch(self) -> tuple[str | None, Waveform | None]:
-        """Give a position and its record at rest; None where nothing can be recorded without a strike."""
+        """Return a position and its record at rest; None if recording needs a strike."""
         ...
 
     def newest(self) -> dict[str, Any]:
-        """Give the newest strike as `drawn` describes it."""
+        """Return the newest strike as prepared by `drawn`."""
         ...
 
 
 @contextmanager
 def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
-    """Serve the page and give its address; at the end an open page has heard the last word.
+    """Serve the page and provide its address; at the end an open page receives the final state.
 
     Raises
     ------
     BusyError
-        Somebody else has the port.
+        Another program uses the port.
     """
     stop = threading.Event()
     bound: queue.Queue[str | Exception] = queue.Queue()
@@ -65,7 +65,7 @@ def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
     def run() -> None:
         try:
             serve(app, "127.0.0.1", port, on_bound=bound.put, stop=stop, close_streams=lambda: None)
-        except Exception as error:  # noqa: BLE001 - told by the thread that waits for the address
+        except Exception as error:  # noqa: BLE001 - raised by the thread that waits for the address
             bound.put(error)
 
     thread = threading.Thread(target=run, name="page", daemon=True)
@@ -75,35 +75,35 @@ def served_page(dialogue: Dialogue, scope: Scope, port: int) -> Iterator[str]:
         raise address
     try:
         yield address
-        audience.hear_the_end()
+        audience.wait_for_page()
     finally:
         stop.set()
         thread.join()
 
 
 class Audience:
-    """Whether a page is open, and whether it has heard that all is done."""
+    """Tracks whether a page is open, and whether it has received the final state."""
 
     def __init__(self) -> None:
         self.done = False
-        self._asked_at = -FAREWELL_S
-        self._heard = threading.Event()
+        self._last_request_s = -FAREWELL_S
+        self._received_end = threading.Event()
 
-    def asked(self) -> None:
-        """Take note of a page that asks how things stand."""
-        self._asked_at = time.monotonic()
+    def note_request(self) -> None:
+        """Record that a page asked for the state."""
+        self._last_request_s = time.monotonic()
         if self.done:
-            self._heard.set()
+            self._received_end.set()
 
-    def hear_the_end(self) -> None:
-        """Wait until an open page knows that nothing is asked any more."""
+    def wait_for_page(self) -> None:
+        """Wait until an open page has received the final state."""
         self.done = True
-        if time.monotonic() - self._asked_at < FAREWELL_S:
-            self._heard.wait(FAREWELL_S)
+        if time.monotonic() - self._last_request_s < FAREWELL_S:
+            self._received_end.wait(FAREWELL_S)
 
 
 def page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
-    """Build the page's service, guarded as the dashboard's is."""
+    """Build the page's service, protected like the dashboard."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, default_response_class=JsonAnswer)
     app.add_middleware(RequestGuard)
     problem.install(app)
@@ -120,7 +120,7 @@ def page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
     async def get_state() -> JsonAnswer:
         state = {**dialogue.as_row(), "position": scope.position, "strikes": scope.strikes}
         answer = JsonAnswer({**state, "done": audience.done})
-        audience.asked()
+        audience.note_request()
         return answer
 
     @app.post("/api/answer")

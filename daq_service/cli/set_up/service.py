@@ -41,7 +41,7 @@ def write_services(
     out: Path,
     as_json: bool,
 ) -> None:
-    """Carry out the command: write the files, say what installs them."""
+    """Run the command: write the files, print how to install them."""
     settings, folder = settings_and_folder(config, data_dir)
     user = user or os.environ.get("SUDO_USER") or _this_user()
     describe = systemd_units if manager == "systemd" else windows_tasks
@@ -69,6 +69,7 @@ def _this_user() -> str:
 
 
 def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
+    """Return the commands that install the files."""
     if manager == "systemd":
         names = " ".join(file.name for file in files)
         copy = f"sudo cp {shlex.join(map(str, files))} /etc/systemd/system/"
@@ -83,7 +84,7 @@ def _to_install(manager: str, files: Sequence[PurePath]) -> list[str]:
 def systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
-    """Return the units of a recorder, a web service and, where there is a supply, its drive, by file name."""
+    """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
     longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
     drive, supply = f"{name}-drive.service", settings.rig.driven
     units: dict[str, tuple[str, Lines, Lines]] = {
@@ -98,7 +99,7 @@ def systemd_units(
                 ("TimeoutStartSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
                 # The strike under way ends, what was taken is stored.
                 ("TimeoutStopSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
-                # The recorder itself is told; its workers end with it, or are killed after it.
+                # Only the recorder gets the signal; its workers end with it, or are killed after it.
                 ("KillMode", "mixed"),
                 ("RestartSec", "10"),
             ],
@@ -124,33 +125,34 @@ def systemd_units(
                 ("Type", "notify"),  # before the recorder looks whether it has to start one
                 ("NotifyAccess", "main"),
                 ("WatchdogSec", f"{math.ceil(answered_within_s(supply))}"),
-                # Told to end it switches off first, which the supply may keep waiting.
+                # On a stop it switches off first, which may wait for the supply.
                 ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
                 ("RestartSec", "5"),
             ],
         )
     return {
-        f"{name}-{word}.service": _unit(
-            f"solimon, {what}: {settings.name}",
-            _command(word, config, folder),
+        f"{name}-{command}.service": _unit(
+            f"solimon, {title}: {settings.name}",
+            _command(command, config, folder),
             config.parent,
             folder,
             user,
             unit,
             service,
         )
-        for word, (what, unit, service) in units.items()
+        for command, (title, unit, service) in units.items()
     }
 
 
 def _unit(
     title: str, command: Iterable[str], at: PurePath, folder: PurePath, user: str, unit: Lines, service: Lines
 ) -> str:
+    """Return the text of a systemd unit."""
     sections: dict[str, Lines] = {
         "Unit": [
             ("Description", _plain(" ".join(title.split()))),
             ("RequiresMountsFor", _quoted(str(folder))),
-            ("StartLimitIntervalSec", "0"),  # nobody is there to reset it
+            ("StartLimitIntervalSec", "0"),  # a person cannot be expected to reset it
             *unit,
         ],
         "Service": [
@@ -158,7 +160,7 @@ def _unit(
             ("WorkingDirectory", _plain(str(at))),
             ("ExecStart", " ".join(map(_quoted, command))),
             # Any exit code may be that of a driver or a vendor's library, so none ends a test but that of a
-            # configuration, which does not mend itself; `systemctl stop` is no restart.
+            # configuration, which needs a person; `systemctl stop` is no restart.
             ("Restart", "always"),
             ("RestartPreventExitStatus", f"{UsageError.exit_code}"),
             ("SuccessExitStatus", f"{EXIT_INTERRUPTED}"),
@@ -179,10 +181,11 @@ def _unit(
     ).join(["", "\n"])
 
 
-def _command(word: str, config: PurePath, folder: PurePath) -> list[str]:
+def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
     # After its last set the recorder stays and takes orders.
-    linger = ["--linger"] if word == "record" else []
-    return [*PROGRAM, word, str(config), "--data-dir", str(folder), *linger]
+    """Return the command line of a service."""
+    linger = ["--linger"] if command == "record" else []
+    return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
 
 def _plain(text: str) -> str:
@@ -190,7 +193,7 @@ def _plain(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Quote a word of a command line as systemd reads it."""
+    """Quote a word of a command line for systemd."""
     if text.replace("/", "").replace("-", "").replace(".", "").replace("_", "").isalnum():
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")
@@ -233,22 +236,22 @@ TASK = """<?xml version="1.0" encoding="UTF-16"?>
   </Actions>
 </Task>
 """
-"""At boot, whoever is logged on (S4U: no password is kept); every 5 min anew where it has ended; at normal
-priority, which is not the scheduler's default; for as long as it takes."""
+"""Starts at boot without a login (S4U: no password is stored) and every 5 min if it has ended; normal
+priority, which is not the scheduler's default; no time limit."""
 
 
 def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
-    """Return the tasks of the supervisor and, where there is a supply, its drive, by file name."""
-    words = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
+    """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
+    commands = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
     return {
         f"{task}.xml": TASK.format(
-            title=escape(f"solimon {word}: {settings.name}"),
+            title=escape(f"solimon {command}: {settings.name}"),
             user=escape(user),
             program=escape(sys.executable),
-            arguments=escape(subprocess.list2cmdline(_command(word, config, folder)[1:])),
+            arguments=escape(subprocess.list2cmdline(_command(command, config, folder)[1:])),
             at=escape(str(config.parent)),
         )
-        for task, word in words.items()
+        for task, command in commands.items()
     }

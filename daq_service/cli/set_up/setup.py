@@ -1,4 +1,4 @@
-"""``solimon setup``: from boards in a box to a configuration, by looking at one's own waves."""
+"""``solimon setup``: create a configuration for connected boards from recorded waves."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def run_setup(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Carry out the command."""
+    """Run the command."""
     refuse_what_is_there(file)
     flags = Flags(transducers=_named(transducers), probes=_named(probes), **given)
     asks = not flags.transducers
@@ -79,27 +79,27 @@ def run_setup(
     others = partial(ask_for_others, dialogue, supply=flags.supply, climate=flags.climate, asks=asks)
     if kinds:
         of_kinds = bench_of_kinds(kinds, assignments, file, folder)
-        with page.of(dialogue, of_kinds), _told_as_ours():
+        with page.of(dialogue, of_kinds), _translated_errors():
             if asks:
                 ask_for_kinds(dialogue, of_kinds)
             else:
                 take_kinds(dialogue, of_kinds, flags)
-            told = write_kinds(dialogue, of_kinds, *others(probes=None))
+            result = write_kinds(dialogue, of_kinds, *others(probes=None))
     else:
         with (
             closing(look_around(dialogue, folder, transport, grpc_address)) as bench,
             page.of(dialogue, bench),
-            _told_as_ours(),
+            _translated_errors(),
         ):
             (ask_for_transducers if asks else take_transducers)(dialogue, bench, flags)
-            told = write(dialogue, bench, file, *others(probes=flags.probes))
+            result = write(dialogue, bench, file, *others(probes=flags.probes))
     if as_json:
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(result))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Page:
-    """Whether there is a page, where, and whether it opens by itself."""
+    """Options of the page: port, whether it is shown, whether it opens automatically."""
 
     port: int
     shown: bool
@@ -112,13 +112,13 @@ class _Page:
             return
         with served_page(dialogue, scope, self.port) as address:
             opened = ", opened in your browser" if self.opens and open_page(address) else ""
-            dialogue.tell(f"scope  {address}{opened}; answer there or here")
+            dialogue.report(f"scope  {address}{opened}; answer there or here")
             yield
 
 
 @contextmanager
-def _told_as_ours() -> Iterator[None]:
-    """Give a driver's errors the exit codes of the command."""
+def _translated_errors() -> Iterator[None]:
+    """Translate a driver's errors to those with the exit codes of the command."""
     try:
         yield
     except driver_errors.BusyError as error:
@@ -128,6 +128,7 @@ def _told_as_ours() -> Iterator[None]:
 
 
 def _named(given: Sequence[str]) -> dict[str, str]:
+    """Parse ``NAME=VALUE`` options."""
     named = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -145,7 +146,7 @@ def _named(given: Sequence[str]) -> dict[str, str]:
 def look_around(
     dialogue: Dialogue, data_folder: Path, transport: Literal["library", "grpc"], grpc_address: str
 ) -> Bench:
-    """Find the boards and say so.
+    """Find the boards and print them.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def look_around(
 
     survey = survey_boards(transport, grpc_address)
     for board in survey.boards:
-        dialogue.tell(f"found  {board_in_words(board)}")
+        dialogue.report(f"found  {board_in_words(board)}")
     usable = {board.serial: board for board in survey.boards if board.analog_trigger and board.ranges_v}
     if not usable:
         names = ", ".join(other_kinds()) or "none is installed, see docs/how-to/write-a-driver.md"
@@ -173,6 +174,7 @@ def look_around(
 
 
 def _met(survey: Survey) -> str:
+    """Describe the boards that were found."""
     failed = [finding for finding in survey.findings if finding.state == "fail"]
     if failed:
         return "; ".join(f"{finding.subject}: {finding.detail}, {finding.remedy}" for finding in failed)
@@ -187,7 +189,7 @@ def _met(survey: Survey) -> str:
 def write(
     dialogue: Dialogue, bench: Bench, file: Path, others: Mapping[str, Any], off: set[KeyPath]
 ) -> dict[str, Any]:
-    """Write the file and its schema, prove that it is good, and say what comes next."""
+    """Write the file and its schema, validate it, and print the next steps."""
     values, _ = laboratory()
     labels = {name: place["label"] for name, place in values["positions"].items()}
     places = dict.fromkeys(others.get("niscope", {}).get("probes", {}), "pulse_echo")

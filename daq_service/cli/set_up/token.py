@@ -1,4 +1,4 @@
-"""``token create|list|revoke``: who may reach a service, and what for."""
+"""``token create|list|revoke``: manage the access tokens of a service."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke
 def run_create(
     *, name: str, role: Role, days: float | None, config: Path | None, data_dir: Path | None, as_json: bool
 ) -> None:
-    """Make a token and print it; what is printed is stored nowhere."""
+    """Create a token and print it; the printed text is not stored."""
     path, audit = _places(config, data_dir)
     token, text = create_token(path, name, role, days=days)
-    _told(audit, "create_token", name=name, role=role, days=days)
+    _audit(audit, "create_token", name=name, role=role, days=days)
     if as_json:
         click.echo(json.dumps(_shown(token) | {"token": text}))
         return
@@ -32,7 +32,7 @@ def run_create(
 
 
 def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Print all tokens, without what opens."""
+    """Print all tokens without their secrets."""
     path, _ = _places(config, data_dir)
     tokens = [_shown(token) for token in read_tokens(path)]
     if as_json:
@@ -46,10 +46,10 @@ def run_list(*, config: Path | None, data_dir: Path | None, as_json: bool) -> No
 
 
 def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
-    """Let a token open nothing any more."""
+    """Revoke a token."""
     path, audit = _places(config, data_dir)
     token = revoke_token(path, name)
-    _told(audit, "revoke_token", name=name)
+    _audit(audit, "revoke_token", name=name)
     click.echo(json.dumps(_shown(token)) if as_json else f"the token of {name} opens nothing any more")
 
 
@@ -59,11 +59,15 @@ def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     return tokens_file(settings.web, folder), Audit(folder)
 
 
-def _told(audit: Audit, what: str, **arguments: Any) -> None:
-    audit.tell(who=user_name(), role=CLAIMED, source=TERMINAL, what=what, arguments=arguments, result="done")
+def _audit(audit: Audit, action: str, **arguments: Any) -> None:
+    """Add the command to the audit log."""
+    audit.tell(
+        who=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
+    )
 
 
 def _shown(token: Token) -> dict[str, Any]:
+    """Return a token without its secret."""
     shown = asdict(token) | {"state": token.state}
     del shown["sha256"]
     return shown

@@ -1,4 +1,4 @@
-"""From position to position: how a transducer is wired, its input at rest, its strikes."""
+"""Set up transducers one by one: wiring, input at rest, strikes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hardware_drivers.errors import InstrumentError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flags:
-    """Answers that were given beforehand; with a transducer among them nothing is asked."""
+    """Answers given as options; with a transducer among them nothing is asked."""
 
     transducers: Mapping[str, str] = field(default_factory=dict)
     probes: Mapping[str, str] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Flags:
 
 
 def take_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
-    """Wire what the flags name; strike only if they say so."""
+    """Wire the transducers of the flags; strike only if requested."""
     bench.drop_height_m = flags.drop_height_m or bench.drop_height_m
     bench.pulse_s = flags.pulse_s or bench.pulse_s
     for position, text in flags.transducers.items():
@@ -52,8 +52,9 @@ def take_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
 
 
 def _print_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: TransducerWiring) -> None:
+    """Wire a transducer and print its input at rest."""
     record = bench.wire(position, wiring)
-    dialogue.tell(
+    dialogue.report(
         f"{position}      {wiring.input} of {wiring.board_serial}, coil at {wiring.counter} "
         f"({wiring.output_terminal}): at rest {record.volts().mean() * 1e3:.3g} mV, noise "
         f"{rms_v(record) * 1e3:.3g} mV rms"
@@ -61,7 +62,7 @@ def _print_quiet(dialogue: Dialogue, position: str, bench: Bench, wiring: Transd
 
 
 def ask_for_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
-    """Go from position to position until no more is named."""
+    """Ask for transducers until the person ends."""
     for name, text, bounds in (
         ("drop_height_m", "Height the strikers fall from, m", (0.0, 1.0)),
         ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -78,12 +79,12 @@ def ask_for_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
                 bench.strike(position)
                 _print_strike(dialogue, bench, position)
             except (InstrumentError, AnalysisError, BusyError) as error:
-                dialogue.tell(f"  {error}")
+                dialogue.report(f"  {error}")
     assess_strikes(dialogue, bench, asks=True)
 
 
 def ask_position(dialogue: Dialogue, taken: Mapping[str, Any]) -> str | None:
-    """Ask for one more transducer; None: there is none."""
+    """Ask for one more transducer; None if there is none."""
     question = Question(
         name="position",
         text="Position of a solitary-wave transducer" + (", - for no more" if taken else ""),
@@ -93,7 +94,7 @@ def ask_position(dialogue: Dialogue, taken: Mapping[str, Any]) -> str | None:
 
 
 def strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
-    """Ask whether to strike: no answer never means it."""
+    """Ask whether to strike; the default is no."""
     question = Question(
         name=f"{position}.strike",
         text=f"Strike {position} once, nobody's hands inside? Or go on",
@@ -104,16 +105,17 @@ def strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
 
 
 def _number_within(low: float, high: float) -> Callable[[str], float]:
-    def understood(text: str) -> float:
+    def parse(text: str) -> float:
         value = float(text)
         if not low < value <= high:
             raise ValueError(f"{value:g} is not within {low:g} .. {high:g}")
         return value
 
-    return understood
+    return parse
 
 
 def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
+    """Return a valid new position; None for the end."""
     if text == "-" and taken:
         return None
     if not text.isalnum() or text in taken:
@@ -122,13 +124,13 @@ def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
 
 
 def report_file(dialogue: Dialogue, file: Path, settings: Settings) -> None:
-    """Say that the file is there, and what comes next."""
-    dialogue.tell(f"{file} is written, its schema beside it ({settings.configuration_hash()[:12]})")
-    dialogue.tell(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
+    """Report the written file and the next steps."""
+    dialogue.report(f"{file} is written, its schema beside it ({settings.configuration_hash()[:12]})")
+    dialogue.report(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
 
 
 def _wire(dialogue: Dialogue, bench: Bench, position: str) -> None:
-    """Ask how a transducer is wired until its input can be read."""
+    """Ask for the wiring of a transducer until its input can be read."""
     taken = {(one.board_serial, one.input) for one in bench.transducers.values()}
     taken |= {(one.coil_serial, one.counter) for one in bench.transducers.values()}
     while True:
@@ -158,27 +160,31 @@ def _wire(dialogue: Dialogue, bench: Bench, position: str) -> None:
             wiring = wiring_of(bench.boards, f"{serial}/{channel}/{counter}/{terminal}")
             _print_quiet(dialogue, position, bench, wiring)
         except (ValueError, InstrumentError) as error:
-            dialogue.tell(f"  {error}")
+            dialogue.report(f"  {error}")
         else:
             return
 
 
 def _choice(dialogue: Dialogue, name: str, text: str, choices: Sequence[str]) -> str:
+    """Ask for one of the choices."""
     if not choices:
         raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
     return dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
 
 
 def _print_strike(dialogue: Dialogue, bench: Bench, position: str) -> None:
+    """Print the survey of the newest strike and its remedies."""
     proposal = bench.proposal()
     assert proposal is not None, "it was struck"
     survey = proposal.surveys[position]
     wave = "no wave stands out"
     if survey.wave_v is not None and survey.wave_after_s is not None:
         wave = f"wave of {survey.wave_v:.3g} V {survey.wave_after_s * 1e3:.3g} ms after off"
-    dialogue.tell(f"{position}      on: {edge_in_words(survey.on)}; off: {edge_in_words(survey.off)}; {wave}")
+    dialogue.report(
+        f"{position}      on: {edge_in_words(survey.on)}; off: {edge_in_words(survey.off)}; {wave}"
+    )
     if position in proposal.troubles:
-        dialogue.tell(f"{position}      {REMEDIES[proposal.troubles[position]]}")
+        dialogue.report(f"{position}      {REMEDIES[proposal.troubles[position]]}")
     if position in proposal.again:
         bench.take_range(position, proposal.range_v[position])
-        dialogue.tell(f"{position}      clipped; strike again, now in +-{proposal.range_v[position]:g} V")
+        dialogue.report(f"{position}      clipped; strike again, now in +-{proposal.range_v[position]:g} V")

@@ -1,4 +1,4 @@
-"""What the strikes propose, in words, and what a person says instead."""
+"""Present the settings proposed from strikes, and ask for changes."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ REMEDIES: Mapping[Trouble, str] = {
 
 
 def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
-    """Tell what the strikes propose, and take it over, or what a person says instead."""
+    """Present the proposal of the strikes, and accept it or the values of a person."""
     proposal = bench.proposal()
     if proposal is None:
-        dialogue.tell("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
+        dialogue.report("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
         return
     for position, trouble in proposal.troubles.items():
-        dialogue.tell(f"{position}      {REMEDIES[trouble]}")
+        dialogue.report(f"{position}      {REMEDIES[trouble]}")
     if proposal.trigger_level_v is None:
         return
     for line in in_words(proposal):
-        dialogue.tell(f"take   {line}")
+        dialogue.report(f"take   {line}")
     taken = not asks or dialogue.yes("accept", "Take these values", default="yes")
     while True:
         if not taken:
@@ -42,14 +42,14 @@ def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
         except ValueError as error:
             if not asks:
                 raise RigError(f"what the strikes propose does not go together: {error}") from error
-            dialogue.tell(f"  {error}")
+            dialogue.report(f"  {error}")
             taken = False
         else:
             return
 
 
 def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
-    """Ask for each value, the proposed one being what no answer means."""
+    """Ask for each value, with the proposed one as default."""
 
     def number(name: str, text: str, default: float | None) -> float | None:
         shown = "-" if default is None else f"{default:g}"
@@ -84,7 +84,7 @@ def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposa
 
 
 def in_words(proposal: Proposal) -> list[str]:
-    """Proposed values, one a line."""
+    """Return the proposed values, one per line."""
     ranges = ", ".join(f"{name} +-{range_v:g} V" for name, range_v in proposal.range_v.items())
     holdoff = "none" if proposal.holdoff_s is None else f"{proposal.holdoff_s * 1e3:.3g} ms"
     return [

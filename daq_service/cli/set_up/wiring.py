@@ -1,4 +1,4 @@
-"""How a transducer is connected, as people write it, and what a board offers for it."""
+"""Parse the wiring of a transducer, and list inputs and counters of a board."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def board_in_words(board: BoardFacts) -> str:
-    """Say what a board offers."""
+    """Describe a board."""
     ranges = ", ".join(
         f"{high:g}" for low, high in sorted(board.ranges_v, key=lambda ends: ends[1]) if high == -low
     )
@@ -24,15 +24,15 @@ def board_in_words(board: BoardFacts) -> str:
 
 
 def coil_counters(board: BoardFacts) -> list[str]:
-    """Counters of a board that can time a pulse."""
+    """Return the counters of a board that can time a pulse."""
     return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
 
 
 def home_terminal(board: BoardFacts, counter: str) -> str:
-    """Terminal that a counter's pulse leaves a board at, by its family's habit."""
+    """Return the default terminal of a counter's pulse for the board's family."""
     number = int(counter[3:])
-    own = f"Ctr{number}Out"
-    return own if f"/{board.name}/{own}" in board.terminals else f"PFI{12 + number}"
+    counter_output = f"Ctr{number}Out"
+    return counter_output if f"/{board.name}/{counter_output}" in board.terminals else f"PFI{12 + number}"
 
 
 def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:

@@ -1,1 +1,1 @@
-"""``solimon status``: how a test stands, as facts, as a table, and watched."""
+"""``solimon status``: show the status of a test as JSON, as a table, or continuously."""

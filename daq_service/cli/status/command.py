@@ -1,4 +1,4 @@
-"""Carry out ``status``: once for a person or a program, or again and again for whoever watches."""
+"""Run ``status``: once, or repeatedly with ``--watch``."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ PIPE_COLUMNS = 1000
 
 
 def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, watch: bool) -> int:
-    """Tell how a test stands; the exit code.
+    """Print the status of a test and return the exit code.
 
     Raises
     ------
     UsageError
-        The folder is not there or none of ours, or nobody could watch.
+        The folder does not exist or has no test, or ``--watch`` has no terminal.
     """
-    folder, facts = _look(config, data_dir)
+    folder, facts = _read_status(config, data_dir)
     if as_json and not watch:
         click.echo(json.dumps(facts))
         return EXIT_OK
@@ -44,7 +44,7 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
                 "--watch draws on a terminal, and this is none; ask again and again without it, or take the "
                 "stream of `solimon serve`"
             )
-        return _watched(console, config, data_dir)
+        return _watch(console, config, data_dir)
     if console.is_terminal:
         console.print(picture(facts, str(folder)))
         return EXIT_OK
@@ -55,32 +55,34 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
     return EXIT_OK
 
 
-def _look(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, Any]]:
+def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, Any]]:
+    """Read the status of a folder."""
     settings, folder = settings_of_folder(config, data_dir)
     refuse_other_folders(folder)
     return folder, describe_status(folder, settings)
 
 
-def _watched(console: Console, config: Path | None, data_dir: Path | None) -> int:
-    """Draw it until Ctrl-C; what cannot be read now may be read the next time."""
+def _watch(console: Console, config: Path | None, data_dir: Path | None) -> int:
+    """Draw the status until Ctrl-C; an error is shown and the status read again."""
     from rich.live import Live
 
     last: RenderableType = ""
     # Not as an exception: one that comes within a callback of a library is lost.
     with stop_on_signals() as stop, Live(console=console, screen=True, auto_refresh=False) as live:
         while not stop.is_set():
-            last = _seen(config, data_dir)
+            last = _status_or_error(config, data_dir)
             live.update(last, refresh=True)
             stop.wait(WATCH_EVERY_S)
     console.print(last)
     return EXIT_INTERRUPTED
 
 
-def _seen(config: Path | None, data_dir: Path | None) -> RenderableType:
+def _status_or_error(config: Path | None, data_dir: Path | None) -> RenderableType:
+    """Return the table of the status, or the error of reading it."""
     from daq_service.cli.status.table import picture
 
     try:
-        folder, facts = _look(config, data_dir)
+        folder, facts = _read_status(config, data_dir)
     except SolimonError as error:
         return f"cannot be read now, and is looked at again: {in_one_line(str(error))}"
     return picture(facts, str(folder))

@@ -1,4 +1,4 @@
-"""How a test stands: read from its folder, each value with what it is judged by, its quality and its age."""
+"""Read the status of a test from its folder: values with limits, quality and age."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import lacks_rows_of, read_history
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -55,7 +55,7 @@ GAPS_A_POSITION = 5
 
 
 def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
-    """Read recorder, counts, gaps, orders, disk, supply, and the last word on each position.
+    """Read recorder, counts, gaps, commands, disk, supply, and the newest rows of each position.
 
     Raises
     ------
@@ -87,11 +87,11 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
                     name: {
-                        **_last_told(word),
-                        **_standing(folder, settings, catalogue, fresh, word),
+                        **_newest_rows(latest),
+                        **_present_state(folder, settings, catalogue, fresh, latest),
                         "baseline": _rate_of(baselines.get(name)),
                     }
-                    for name, word in (
+                    for name, latest in (
                         (name, fresh.standing_word(found))
                         for name, found in catalogue.positions_state().items()
                     )
@@ -102,17 +102,17 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 ],
             }
     except NoDataYetError:
-        if told := lost_reason(folder):
-            raise StorageError(told) from None
+        if reason := lost_reason(folder):
+            raise StorageError(reason) from None
         recorder = look_at_recorder(folder, [])
-        told_ns = time_now_ns(recorder.beat)
+        recorder_ns = time_now_ns(recorder.beat)
         nothing = dict.fromkeys(
             ("now_h", "wall_age_s", "climate", "held", "counts", "next_due_h", "disk", "confirmations")
         )
         return {
             "recorder": recorder.description,
             "recorder_state": recorder.word,
-            "system_ahead_s": None if told_ns is None else (time.time_ns() - told_ns) / NS_PER_S,
+            "system_ahead_s": None if recorder_ns is None else (time.time_ns() - recorder_ns) / NS_PER_S,
             "supply": supply,
             **nothing,
             "orders": [],
@@ -132,7 +132,7 @@ def _climate(row: EnvironmentRow | None) -> dict[str, Any] | None:
 
 
 def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
-    """State whether the catalogue is an older copy: the end of the history knows more."""
+    """Return an error if the catalogue is an older copy that lacks events of the history."""
     try:
         lacking = lacks_rows_of(read_history(folder, tail_bytes=END_BYTES), catalogue)
     except OSError as error:
@@ -140,29 +140,28 @@ def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     return {FILE_NAME: lacking} if lacking else {}
 
 
-def _last_told(word: LastWord) -> dict[str, Any]:
-    rows = ("last_set", "last_feature", "last_verdict", "last_thickness")
-    told = {name: None if (row := getattr(word, name)) is None else values(row) for name in rows}
+def _newest_rows(latest: LatestRows) -> dict[str, Any]:
+    """Return the newest rows of a position."""
+    names = ("last_set", "last_feature", "last_verdict", "last_thickness")
+    rows_by_name = {name: None if (row := getattr(latest, name)) is None else values(row) for name in names}
     return {
-        "position": word.position,
-        "method": word.method,
-        **told,
-        "active_alarms": [values(row) for row in word.active_alarms],
+        "position": latest.position,
+        "method": latest.method,
+        **rows_by_name,
+        "active_alarms": [values(row) for row in latest.active_alarms],
     }
 
 
-def _standing(
-    folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LastWord
+def _present_state(
+    folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
 ) -> dict[str, Any]:
-    """Add to a position's last word what it says now: state, age, limits, a thickness's interval."""
+    """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h, interval_m = data_hour(last), None
     if last.last_thickness is not None:
         try:
             reader = FolderSetReader(folder)
             interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, reader)
-        except (
-            ArchiveError
-        ) as error:  # `lost` and `verify` tell of it; the reading itself is in the catalogue
+        except ArchiveError as error:  # `lost` and `verify` report it; the catalogue has the value
             log.debug("no interval of position %s: %s", last.position, error)
     age_h = None if data_h is None else fresh.age_h(data_h)
     chart = deciding_chart(last.last_verdict, settings)
@@ -177,7 +176,7 @@ def _standing(
 
 
 def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
-    """Tell whether the chart keeps its rate of false alarms with a baseline; None: there is none."""
+    """Return the design false-alarm rate of a baseline and whether it is verified; None without baseline."""
     if row is None:
         return None
     names = ("false_alarms_per_sensor_year", "rate_guaranteed", "why_not_guaranteed")
@@ -192,20 +191,20 @@ def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
 
 
 def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
-    """Tell of sets beside the plan: how many, what the newest says, how many suspicion may still ask for."""
+    """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
     last = None
     if newest is not None:
         assessments = catalogue.rows(AssessmentRow, position=newest.position, set_index=newest.set_index)
-        said = asdict(confirmed(newest, assessments[0] if assessments else None))
-        last = {"position": newest.position, **said, "age_h": fresh.age_h(newest.due_h)}
-    asked, most = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
+        result = asdict(confirmed(newest, assessments[0] if assessments else None))
+        last = {"position": newest.position, **result, "age_h": fresh.age_h(newest.due_h)}
+    requested, maximum = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
     return {
         "sets": len(rows),
         "last": last,
         "left_today": {
-            name: max(0, most - n_today(name, asked, fresh.now_h))
+            name: max(0, maximum - n_today(name, requested, fresh.now_h))
             for name, place in settings.positions.items()
             if place.method == SOLITARY_WAVE
         },
@@ -213,25 +212,25 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
 
 
 def _next_due_h(settings: Settings, done: int) -> float | None:
-    """Hour of the first set without rows; None: every planned one has its own."""
+    """Return the hour of the first set without rows; None if every scheduled set has its own."""
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
     return hours[0] if hours else None
 
 
 def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
-    """Orders that wait for the recorder, or that it is carrying out; expired ones are waited for no more."""
+    """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
-    told = [(row, left_now_s(row)) for row in waiting]
+    commands_with_time = [(row, left_now_s(row)) for row in waiting]
     names = ("id", "kind", "author", "arguments", "state")
     return [
         {**{name: getattr(row, name) for name in names}, "expires_in_s": left_s}
-        for row, left_s in told
+        for row, left_s in commands_with_time
         if as_it_stands(row, left_s).state in ("pending", "started")
     ]
 
 
 def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
-    """Newest sets that lack something: which, at which positions, and why."""
+    """Return the newest incomplete sets with positions and causes."""
     found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
         gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}

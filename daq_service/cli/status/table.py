@@ -1,4 +1,4 @@
-"""The facts of ``solimon status`` as a person reads them: no number without its quality and its age."""
+"""Format the status of a test for a terminal: every number with its quality and age."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ STYLES = {
     "suspect": "yellow",
     "bad": "bold red",
 }
-"""Colours are never alone: the word stands beside each."""
+"""Colours never stand alone: each has its word."""
 DISK_STYLES = dict(zip(LEVELS, ("", "yellow", "bold red", "bold red"), strict=True))
 LARGEST_IN_FULL = 1e4
-"""A longer distance is told in powers of ten."""
+"""Larger distances are shown in powers of ten."""
 
 
 def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
-    """Compose everything that `facts.describe_status` tells."""
+    """Compose the complete output from `facts.describe_status`."""
     facts, folder = all_in_one_line(facts), in_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
-    for name, told, style in _head(facts, folder):
-        head.add_row(f"{name:<8}", Text(told, style=style))
+    for name, text, style in _head(facts, folder):
+        head.add_row(f"{name:<8}", Text(text, style=style))
     parts: list[RenderableType] = [head]
     if facts["positions"]:
         parts.append(_positions(facts["positions"]))
@@ -62,7 +62,7 @@ def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
 
 
 def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str]]:
-    """Give name, words and style of each line."""
+    """Yield name, text and style of each line."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
     if facts["now_h"] is not None:
@@ -86,8 +86,8 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
         yield "on hold", f"{facts['held']}; nothing strikes until it is released", "yellow"
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
-        left = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
-        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{left})", "yellow"
+        remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
+        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{remaining})", "yellow"
     counts = facts["counts"]
     if counts is None:
         yield "", "no data yet", ""
@@ -101,13 +101,13 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     partial = f", {counts['partial_sets']} partial (some strikes lack)" if counts["partial_sets"] else ""
     yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
     yield "confirm", _confirmations(facts["confirmations"]), ""
-    for told in _gaps(facts["gaps"]):
-        yield "gap", told, "yellow"
-    for file, what in facts["lost"].items():
-        remedy = "" if "solimon" in what else "; solimon repair --from BACKUP brings it back"
-        yield "LOST", f"{file} {what}{remedy}", "bold red"
-    yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
-    yield from (("verdict", *told) for told in _assessments(facts["positions"]))
+    for text in _gaps(facts["gaps"]):
+        yield "gap", text, "yellow"
+    for file, problem in facts["lost"].items():
+        remedy = "" if "solimon" in problem else "; solimon repair --from BACKUP brings it back"
+        yield "LOST", f"{file} {problem}{remedy}", "bold red"
+    yield from (("baseline", text, "") for text in _baselines(facts["positions"]))
+    yield from (("verdict", *text) for text in _assessments(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
         yield "decides", "the chart, or a cause named WALL; D² beyond its limit is an outlier, no alarm", ""
     yield "disk", disk_text(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
@@ -117,7 +117,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
 
 
 def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    """Tell what the chart promises with the baselines: those of which the same is said in one line."""
+    """Yield the design false-alarm rates of the baselines, equal ones in one line."""
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
         baseline = row["baseline"]
@@ -131,34 +131,34 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
             alike.setdefault(f"DOUBTFUL: {'; '.join(baseline['doubts'])}", []).append(name)
         budget = baseline["false_alarms_per_sensor_year"]
         alike.setdefault(f"{budget:g} false alarms a sensor and year, {promised}", []).append(name)
-    yield from (f"{', '.join(names)}: {told}" for told, names in alike.items())
+    yield from (f"{', '.join(names)}: {text}" for text, names in alike.items())
 
 
 def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Tell the cause of what the newest set of a position shows, where it is not as in the baseline."""
+    """Yield the diagnosis of each position's newest set that differs from the baseline."""
     for name, row in positions.items():
         assessment = row["last_verdict"]
         if not _of_the_same_set(row["last_feature"], assessment) or assessment["cause"] in (None, OK):
             continue
         style = "bold red" if assessment["cause"] == WALL else "yellow"
-        told = said(assessment["cause"], assessment["cause_probability"], assessment["cause_told"])
-        yield f"{name}, set {assessment['set_index']}: {told}", style
+        sentence = said(assessment["cause"], assessment["cause_probability"], assessment["cause_told"])
+        yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
 
 def _confirmations(facts: Mapping[str, Any]) -> str:
-    """Tell how many sets were beside the plan, what the newest says, and how many may still come today."""
-    left = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
+    """Return the number of confirmation sets, the newest result, and how many are left today."""
+    remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
-    told = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
-    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {left}{told}"
+    last_text = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
+    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {remaining}{last_text}"
 
 
 def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Tell neighbours of one cause in one line."""
-    for (state, cause, where), some in groupby(
+    """Yield adjacent gaps of one cause in one line."""
+    for (state, cause, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
     ):
-        alike = list(some)
+        alike = list(group)
         first, last = alike[0], alike[-1]
         names = (
             f"set {first['set_index']}"
@@ -169,7 +169,7 @@ def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def disk_text(disk: Mapping[str, Any]) -> str:
-    """Tell what is free, what is needed, and until when it lasts."""
+    """Return free space, needed space, and when the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
     rest = "" if needed is None else f", about {needed / 1e9:.2f} GB still to come"
@@ -185,6 +185,7 @@ def _table(*columns: str) -> Table:
 
 
 def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Return the table of positions."""
     table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
         result, limit, quality = _result(row)
@@ -204,7 +205,7 @@ def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
 
 
 def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Tell result, limit and quality of a position's newest data, by its method."""
+    """Return result, limit and quality of a position's newest data, by its method."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_verdict"]
     if echo is not None:
         wall_m, ends_m = echo["thickness_m"], row["thickness_interval_m"]
@@ -216,23 +217,23 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     distance = assessment["distance_squared"] if _of_the_same_set(feature, assessment) else None
     none = "none yet" if row["state"] == "learning" else "none"
     limit = none if row["limit"] is None else f"{row['limit']:.1f}"
-    told = []
+    texts = []
     if distance is not None:
-        told.append(f"D² {distance:.1f}" if distance < LARGEST_IN_FULL else f"D² {distance:.1e}")
+        texts.append(f"D² {distance:.1f}" if distance < LARGEST_IN_FULL else f"D² {distance:.1e}")
     if feature["tof_pp_s"] is not None:
-        told.append(f"ToF {1e6 * feature['tof_pp_s']:.1f} us")
+        texts.append(f"ToF {1e6 * feature['tof_pp_s']:.1f} us")
     if feature["amplitude_ratio"] is not None:
-        told.append(f"AR {feature['amplitude_ratio']:.3f}")
-    return ", ".join(told) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
+        texts.append(f"AR {feature['amplitude_ratio']:.3f}")
+    return ", ".join(texts) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
 def _of_the_same_set(feature: Mapping[str, Any] | None, assessment: Mapping[str, Any] | None) -> bool:
-    """Tell whether a verdict has the age of these features."""
+    """Return whether an assessment belongs to the set of these features."""
     return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
 def _chart(row: Mapping[str, Any]) -> str:
-    """Tell where the chart stands of its limit."""
+    """Return the statistic and the limit of the control chart."""
     chart = row["chart"]
     if chart is None or not _of_the_same_set(row["last_feature"], row["last_verdict"]):
         return "-"
@@ -240,23 +241,24 @@ def _chart(row: Mapping[str, Any]) -> str:
 
 
 def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:
-    """Tell where to look first, once for each kind of alarm that is told of."""
+    """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
             yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].look_first)}")
 
 
 def _state_of_alarm(row: Mapping[str, Any]) -> str:
-    """State of an alarm; of one that is suppressed until when, or since it is out of service, and why."""
+    """Return the state of an alarm, with end and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
         return state
     until = format_utc(row["shelved_until_utc_ns"], 0) if row["suppressed"] == "shelved" else ""
-    told = f"shelved until {until}" if until else "out of service"
-    return f"{state}, {told} by {row['suppressed_by']}: {row['suppressed_because']}"
+    text = f"shelved until {until}" if until else "out of service"
+    return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_because']}"
 
 
 def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of alarms."""
     table = _table("alarm", "severity", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(

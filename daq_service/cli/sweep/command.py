@@ -1,4 +1,4 @@
-"""``solimon simulate --sweep``: from the words of the command line to the printed table."""
+"""``solimon simulate --sweep``: parse the request, run the sweep, print its table."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SweepRequest:
 
 
 def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
-    """Carry out a sweep and print its table, or where it was written.
+    """Run a sweep and print its table, or where it was written.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def _axes(request: SweepRequest) -> list[Axis]:
 
 
 def _specification(request: SweepRequest) -> list[str]:
-    """Repeat what was asked for; not where a file lies."""
+    """Return the specification as given, without paths."""
     shorthand = [] if request.depths is None else [f"{DEPTH_KEY}={request.depths}"]
     rows = [] if request.sweep_file is None else [f"--sweep-file {request.sweep_file.name}"]
     return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
@@ -133,7 +133,7 @@ def _print(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_j
 
 
 def _print_rows(table: SweepTable, columns: Columns) -> None:
-    """Swept keys as they are, then the model's main numbers."""
+    """Print the swept keys and the model's main numbers."""
     printed = {key: [key, *(str(value) for value in values)] for key, values in table.swept.items()}
     for key, title, unit, form in columns:
         if key in table.results:

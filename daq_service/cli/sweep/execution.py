@@ -1,4 +1,4 @@
-"""Compute the rows of a plan in an executor, a few at a time, and keep each as soon as it is there."""
+"""Compute the rows of a plan in an executor and store each as soon as it is complete."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from daq_service.errors import SolimonError
 from daq_service.processes.executors import worker_lost
 
 ROWS_PER_TASK = 8
-"""At most: small enough to stop and to tell progress soon, large enough that sending costs nothing."""
+"""Maximum: small enough for fast stop and progress, large enough that sending costs little."""
 
 TASKS_IN_ALL = 16
 """At least so many for each worker, where there are rows enough, so that all end together."""
@@ -87,7 +87,7 @@ def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcom
 def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
     """Group rows by plate, then by chain; the first task of each plate comes first.
 
-    So every plate is reduced once, by whoever gets its first task, and read from the cache after that.
+    So every plate is reduced once, by the worker of its first task, and read from the cache afterwards.
     """
     plates: dict[object, dict[object, list[Row]]] = {}
     for row in rows:
@@ -99,8 +99,8 @@ def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
     firsts: list[Task] = []
     others: list[Task] = []
     for chains in plates.values():
-        together = [row for members in chains.values() for row in members]
-        tasks = [together[k : k + size] for k in range(0, len(together), size)]
+        rows_of_plate = [row for members in chains.values() for row in members]
+        tasks = [rows_of_plate[k : k + size] for k in range(0, len(rows_of_plate), size)]
         firsts.append(tasks[0])
         others += tasks[1:]
     return [*firsts, *others]

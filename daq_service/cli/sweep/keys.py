@@ -1,4 +1,4 @@
-"""Which keys of the configuration a sweep may change, and how a value is put there.
+"""Find the keys of the configuration that a sweep may change, and set their values.
 
 The keys are found in the parameter dataclasses themselves, so that a new parameter can be swept at once.
 """
@@ -42,7 +42,7 @@ ZENER_KEYS = (
 
 @cache
 def known_keys() -> tuple[str, ...]:
-    """All keys of the physics, as the configuration writes them."""
+    """Return all keys of the physics as in the configuration."""
     return tuple(key for name, section in SECTIONS.items() for key in _keys_of(section, name))
 
 
@@ -57,7 +57,7 @@ def _keys_of(section: type, above: str) -> Iterator[str]:
 
 
 def _tables_of(hint: Any) -> list[type]:
-    """Dataclasses that a value of this type may be: a table in the configuration."""
+    """Return the dataclasses that a value of this type may be: tables in the configuration."""
     if get_origin(hint) is Annotated:
         return _tables_of(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
@@ -66,7 +66,7 @@ def _tables_of(hint: Any) -> list[type]:
 
 
 def check_key(key: str, model: str) -> None:
-    """Refuse a key that does not exist or does not count in `model`.
+    """Raise an error for a key that does not exist or has no effect in `model`.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def check_key(key: str, model: str) -> None:
 
 
 def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
-    """Make the section again with some values changed, checked as a configuration file is.
+    """Return a section with changed values, validated like a configuration file.
 
     Parameters
     ----------
@@ -108,18 +108,18 @@ def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
             table = table[name]
         table[path[-1]] = value
     try:
-        made = _ADAPTERS[type(section)].validate_python(content)
+        section_changed = _ADAPTERS[type(section)].validate_python(content)
     except ValidationError as error:
         raise ValueError(_explained(error)) from error
     for path, value in changes.items():
-        # pydantic takes true for 1.0, which nobody means.
-        if isinstance(value, bool) and not isinstance(value_at(made, path), bool):
+        # pydantic accepts true for 1.0, which is never intended.
+        if isinstance(value, bool) and not isinstance(value_at(section_changed, path), bool):
             raise ValueError(f"{'.'.join(path)} is {str(value).lower()}; it must be a number or a name")
-    return made
+    return section_changed
 
 
 def value_at(section: Any, path: tuple[str, ...]) -> Any:
-    """Value of a key below its section."""
+    """Return the value of a key below its section."""
     for name in path:
         section = getattr(section, name)
     return section

@@ -1,7 +1,7 @@
-"""Write the table of a sweep: CSV with facts beside it, HDF5, Parquet. A file appears whole or not at all.
+"""Write the table of a sweep as CSV with a file of facts, HDF5 or Parquet; files are complete or absent.
 
-A CSV file follows RFC 4180 to the letter, so that every program reads it: one header, no comments. What
-the other formats hold as attributes lies in ``FILE.csv.json`` beside it.
+A CSV file follows RFC 4180 exactly, so that every program reads it: one header, no comments. The attributes
+of the other formats are in ``FILE.csv.json``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SUFFIXES = (".csv", *HDF5_SUFFIXES, ".parquet")
 
 
 def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
-    """Refuse before anything is computed what could not be written after it.
+    """Check before the computation that the outputs can be written.
 
     Raises
     ------
@@ -55,12 +55,12 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """All files that an output consists of."""
+    """Return all files of an output."""
     return (facts_path(path), path) if path.suffix.lower() == ".csv" else (path,)
 
 
 def facts_path(path: Path) -> Path:
-    """Name of the facts beside a CSV file."""
+    """Return the path of the facts for a CSV file."""
     return path.with_name(path.name + ".json")
 
 
@@ -83,7 +83,7 @@ def write_output(path: Path, table: SweepTable) -> None:
 
 
 def csv_text(table: SweepTable) -> str:
-    """RFC 4180; numbers with all their digits, empty where a row has none."""
+    """Return the table as CSV (RFC 4180); numbers with all digits, missing ones empty."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(table.columns)
@@ -101,7 +101,7 @@ def _cells(values: Column) -> list[str]:
 
 
 def hdf5_bytes(table: SweepTable) -> bytes:
-    """HDF5 file with the table, its facts and, where kept, the waveforms."""
+    """Return the HDF5 file with the table, its facts and, if kept, the waveforms."""
     return hdf5_image(
         swept=table.swept,
         results=table.results,
@@ -113,7 +113,7 @@ def hdf5_bytes(table: SweepTable) -> bytes:
 
 
 def parquet_bytes(table: SweepTable) -> bytes:
-    """Parquet file; its metadata hold the facts under the key ``solimon``."""
+    """Return the Parquet file; its metadata hold the facts under the key ``solimon``."""
     pyarrow = _pyarrow()
     from pyarrow import parquet
 

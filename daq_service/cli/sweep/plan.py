@@ -1,4 +1,4 @@
-"""The rows of a sweep: every combination, checked before anything is computed."""
+"""Build the rows of a sweep: every combination, checked before the computation."""
 
 from __future__ import annotations
 
@@ -115,16 +115,17 @@ def make_plan(
 
 
 def describe(keys: Sequence[str], row: Row) -> str:
-    """Name a row for people: its number and its values."""
+    """Name a row by its number and values."""
     values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
     return f"row {row.index + 1} ({values})"
 
 
 def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
+    """Raise an error for axes of different lengths or too many rows."""
     lengths = [len(axis.values) for axis in axes]
     if element_wise and len(set(lengths)) > 1:
-        told = ", ".join(f"{axis.key} {len(axis.values)}" for axis in axes)
-        raise UsageError(f"--zip needs as many values of each key, not {told}")
+        counts = ", ".join(f"{axis.key} {len(axis.values)}" for axis in axes)
+        raise UsageError(f"--zip needs as many values of each key, not {counts}")
     rows = lengths[0] if element_wise else math.prod(lengths)
     largest = LARGEST_PLAN_WITH_WAVEFORMS if waveforms else LARGEST_PLAN
     if rows > largest:
@@ -135,7 +136,7 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
 
 
 def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) -> Any:
-    """Yield the rows; a section that many combinations share is made and hashed once."""
+    """Yield the rows; a section that combinations share is created and hashed once."""
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
     bases = dict(zip(SECTIONS, base, strict=True))
@@ -146,10 +147,10 @@ def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) ->
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
         try:
-            made = changed(bases[name], changes)
+            section_made = changed(bases[name], changes)
         except ValueError as error:
             return None, "", f"{name}: {error}"
-        return made, _sha256(asdict(made)), ""
+        return section_made, _sha256(asdict(section_made)), ""
 
     for index, values in enumerate(combined):
         parts = {name: section(name, json.dumps([values[k] for k in places[name]])) for name in SECTIONS}
@@ -160,14 +161,14 @@ def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) ->
         yield Row(
             index=index,
             values=tuple(value_at(parts[path[0]][0], path[1:]) for path in paths),
-            specimen=tuple(made for made, _, _ in parts.values()),
+            specimen=tuple(section_made for section_made, _, _ in parts.values()),
             key=_sha256([model, code_version(), *(text for _, text, _ in parts.values())]),
         )
 
 
 @cache
 def code_version() -> str:
-    """SHA-256 of the twin's source and of the libraries it computes with."""
+    """Return the SHA-256 of the twin's source and of its libraries."""
     from simulator.numerics.source import source_digest
 
     return _sha256(
@@ -179,14 +180,15 @@ def code_version() -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Turn a swept value into JSON: a table of parameters becomes its content."""
+    """Convert a swept value to JSON: a table of parameters becomes its content."""
     return value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(json_text(value))
 
 
 def json_text(value: Any) -> str:
-    """Write a value of the configuration as JSON, parameter tables included."""
+    """Return a value of the configuration as JSON, parameter tables included."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
 def _sha256(content: Any) -> str:
+    """Compute the SHA-256 of an object's JSON."""
     return hashlib.sha256(json_text(content).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Progress on standard error: a line that is rewritten on a terminal, a line every tenth elsewhere."""
+"""Print progress on standard error: a rewritten line on a terminal, else a line per tenth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TENTHS = 10
 
 
 class Progress:
-    """Tells how many rows are done, how fast they come and how long the rest will take.
+    """Prints the number of finished rows, the rate and the remaining time.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class Progress:
     done
         Of those, found in the work file.
     stream
-        Where to tell; None is standard error.
+        Output stream; None is standard error.
     clock
         Monotonic seconds.
     what
@@ -42,7 +42,7 @@ class Progress:
         self._stream = sys.stderr if stream is None else stream
         self._clock = clock
         self._what = what
-        self._started = self._told = clock()
+        self._started = self._printed = clock()
         self._terminal = self._stream.isatty()
         self._tenth = TENTHS * done // total
         if done:
@@ -50,15 +50,15 @@ class Progress:
             self._stream.flush()
 
     def advance(self, rows: int) -> None:
-        """So many more rows are done."""
+        """Count finished rows and print the progress if it is due."""
         self._done += rows
         now = self._clock()
         finished = self._done == self._total
         tenth = TENTHS * self._done // self._total
-        due = now - self._told >= REDRAW_INTERVAL_S if self._terminal else tenth > self._tenth
+        due = now - self._printed >= REDRAW_INTERVAL_S if self._terminal else tenth > self._tenth
         if not (due or finished):
             return
-        self._tenth, self._told = tenth, now
+        self._tenth, self._printed = tenth, now
         text = self._text(now)
         if self._terminal:
             self._stream.write(f"\r{text:<70s}" + ("\n" if finished else ""))
@@ -74,8 +74,8 @@ class Progress:
         if computed == 0 or elapsed <= 0.0:
             return text
         rate = computed / elapsed
-        left = (self._total - self._done) / rate
-        return f"{text}, {rate:.3g} a second, {_duration(left)} left"
+        remaining_s = (self._total - self._done) / rate
+        return f"{text}, {rate:.3g} a second, {_duration(remaining_s)} left"
 
 
 def _duration(seconds: float) -> str:

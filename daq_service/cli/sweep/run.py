@@ -1,4 +1,4 @@
-"""Carry out a sweep from its plan to its files."""
+"""Run a sweep from its plan to its files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from daq_service.shared_file import patiently
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepOptions:
-    """How a sweep is carried out; nothing here changes a number."""
+    """Options of the execution; none of them changes a number."""
 
     outputs: tuple[Path, ...] = ()
     workers: int = 1
@@ -38,7 +38,7 @@ class SweepOptions:
 def run_sweep(
     plan: Plan, options: SweepOptions, origin: Mapping[str, Any], stop: threading.Event
 ) -> SweepTable:
-    """Compute what is not finished yet, write the outputs, drop the work file.
+    """Compute unfinished rows, write the outputs, remove the work file.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def run_sweep(
 
 
 def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -> None:
-    """Results stay, unless they come from this very sweep, ended while it wrote them."""
+    """Raise an error for existing outputs, unless an interrupted run of this sweep wrote them."""
     if options.overwrite or (work is not None and belongs_to(work, plan)):
         return
     for output in options.outputs:
@@ -76,7 +76,7 @@ def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -
 def _outcomes(
     plan: Plan, options: SweepOptions, work: WorkFile | None, stop: threading.Event
 ) -> list[Outcome]:
-    """Outcome of every row in order: refused ones, finished ones, computed ones."""
+    """Return the outcome of every row in order: refused, finished and computed ones."""
     outcomes = {row.index: _refused(plan, row) for row in plan.rows if row.specimen is None}
     if work is not None:
         outcomes |= work.finished
@@ -96,12 +96,12 @@ def _outcomes(
             workers = workers_of(executor, options.workers)
             compute(plan, missing, executor, workers=workers, keep=keep, stop=stop)
     if len(outcomes) < len(plan.rows):
-        kept = (
+        message = (
             "nothing is kept without --out"
             if work is None
             else f"{len(outcomes)} of {len(plan.rows)} rows are kept in {work.path}; the same command goes on"
         )
-        click.echo(kept, err=True)
+        click.echo(message, err=True)
         raise KeyboardInterrupt
     return [outcomes[row.index] for row in plan.rows]
 
@@ -115,7 +115,7 @@ def _refused(plan: Plan, row: Row) -> Outcome:
 
 
 def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcome]) -> None:
-    """Parameters whose contradiction only the model itself could see."""
+    """Raise an error for contradictory parameters that only the model detects."""
     if options.skip_invalid:
         return
     for outcome in outcomes:

@@ -1,4 +1,4 @@
-"""One row of a sweep, computed: the only module that a worker process needs.
+"""Compute one row of a sweep: the only module that a worker process needs.
 
 `solimon simulate` computes its single shots here, too, so that a row of a sweep has the same digits.
 """
@@ -56,7 +56,7 @@ DEPTHS_KEPT = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a row has given.
+    """Result of a row.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
 
 
 def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
-    nothing = (math.nan,) * len(RESULTS[model])
+    no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":
             found, force = zener_numbers(*specimen), None
@@ -103,21 +103,21 @@ def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Out
             force = coupled_shot(*specimen)
             found = coupled_numbers(force)
     except SpecimenError as error:
-        return Outcome(index=index, numbers=nothing, status=f"{INVALID}{error}")
+        return Outcome(index=index, numbers=no_numbers, status=f"{INVALID}{error}")
     except (SimulatorError, np.linalg.LinAlgError) as error:
-        return Outcome(index=index, numbers=nothing, status=str(error))
-    kept = force if waveforms else None
+        return Outcome(index=index, numbers=no_numbers, status=str(error))
+    stored_force = force if waveforms else None
     return Outcome(
         index=index,
         numbers=tuple(math.nan if found[name] is None else found[name] for name in RESULTS[model]),
         status=NO_REFLECTION if found["tof_us"] is None else OK,
-        force_n=None if kept is None else kept.force_n,
-        sample_interval_s=math.nan if kept is None else float(kept.time_s[1]),
+        force_n=None if stored_force is None else stored_force.force_n,
+        sample_interval_s=math.nan if stored_force is None else float(stored_force.time_s[1]),
     )
 
 
 def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
-    """Integrate chain and plate; what is already prepared for this chain or this plate is used again."""
+    """Integrate chain and plate; prepared models are cached."""
     return _model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction
     )
@@ -129,21 +129,21 @@ def _model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionPar
     return ShotModel(chain, plate, outline, prepared_plate=_plate(plate, outline))
 
 
-class _RememberedPlate:
-    """A modal plate that finds the modes of a depth once, for all chains on it."""
+class _CachedPlate:
+    """Modal plate that caches the modes of each depth for all chains."""
 
     def __init__(self, modal: ModalPlate) -> None:
         self.modes: Callable[[float], PlateModes] = lru_cache(maxsize=DEPTHS_KEPT)(modal.modes)
 
 
 @lru_cache(maxsize=PREPARED_KEPT)
-def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _RememberedPlate | None:
+def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
     modal = modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
-    return None if modal is None else _RememberedPlate(modal)
+    return None if modal is None else _CachedPlate(modal)
 
 
 def coupled_numbers(force: ShotForce) -> dict[str, Any]:
-    """Peaks and times of a shot, and how well it was integrated; None where nothing was reflected."""
+    """Return peaks, times and integration quality of a shot; None if nothing was reflected."""
     return {
         **asdict(summarise(force)),
         "preload_n": force.preload_n,
@@ -155,6 +155,6 @@ def coupled_numbers(force: ShotForce) -> dict[str, Any]:
 def zener_numbers(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
 ) -> dict[str, Any]:
-    """Zener's impact of the last sphere."""
+    """Compute Zener's impact of the last sphere."""
     row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

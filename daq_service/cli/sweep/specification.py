@@ -1,4 +1,4 @@
-"""What a sweep is asked for: ``KEY=VALUES`` on the command line, or a CSV file with one shot a row.
+"""Parse the specification of a sweep: ``KEY=VALUES``, or a CSV file with one shot per row.
 
 VALUES is a comma-separated list. Each of its items is a value (``0.003``, ``disk``, ``[0.1, 0.2]``), an
 evenly spaced range ``first:last:count``, or ``log:first:last:count``, evenly spaced in the logarithm.
@@ -84,7 +84,7 @@ def read_sweep_file(path: Path) -> tuple[Axis, ...]:
 
 
 def _items(text: str) -> list[str]:
-    """Split at the commas that stand outside brackets and quotes."""
+    """Split at the commas outside brackets and quotes."""
     items, depth, quoted, start = [], 0, False, 0
     for place, letter in enumerate(text):
         if letter == '"':
@@ -127,7 +127,7 @@ def _values_of(item: str, text: str) -> list[Any]:
 
 
 def spaced(first: float, last: float, count: int, *, logarithmic: bool = False) -> list[float]:
-    """Give a range with its ends; between them with 15 digits, so that a third of 0.9 is 0.3."""
+    """Return a range with its ends; inner values have 15 digits, so that a third of 0.9 is 0.3."""
     with np.errstate(all="ignore"):
         values = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
     if count < 3:

@@ -1,4 +1,4 @@
-"""The finished table of a sweep: columns, facts about their origin, and a hash of the content."""
+"""Build the table of a sweep: columns, provenance, and a hash of the content."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SweepTable:
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Rows ready for JSON: None where there is no number."""
+        """Return rows ready for JSON: None if there is no number."""
         columns = {name: _plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
@@ -94,7 +94,7 @@ def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, Any
 
 
 def content_hash(plan: Plan, outcomes: Sequence[Outcome]) -> str:
-    """SHA-256 of the table: one line of JSON for the names of its columns, then one a row.
+    """Return the SHA-256 of the table: one line of JSON for the column names, then one per row.
 
     Numbers are written with the digits that give them back exactly, so the hash is that of their bits.
     """
@@ -128,5 +128,5 @@ def _plain_list(values: Column) -> list[Any]:
 
 
 def facts_text(table: SweepTable) -> str:
-    """Facts as JSON, always with the same bytes."""
+    """Return the facts as JSON, always with the same bytes."""
     return json.dumps(table.facts, sort_keys=True, indent=1, default=list) + "\n"

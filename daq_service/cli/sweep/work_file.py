@@ -1,7 +1,7 @@
-"""Finished rows of a sweep that is still running: lines appended to a file beside the result.
+"""Store the finished rows of a running sweep as lines of a work file.
 
-A line is the SHA-256 of its JSON, a blank and that JSON. The first line names the sweep. Whatever a
-crash has left of the last line is cut off; a line whose checksum fails is computed again.
+A line is the SHA-256 of its JSON, a blank and that JSON. The first line identifies the sweep. A last line
+that a crash truncated is removed; a row whose line fails its checksum is computed again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FORMAT = 1
 
 
 def work_path(output: Path) -> Path:
-    """Name of the work file of a sweep with this (first) output."""
+    """Return the path of the work file for the (first) output of a sweep."""
     return output.with_name(output.name + WORK_SUFFIX)
 
 
@@ -76,7 +76,7 @@ class WorkFile:
 
 @contextlib.contextmanager
 def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
-    """Open or begin the work file of a plan and own it.
+    """Open or create the work file of a plan and lock it.
 
     Raises
     ------
@@ -101,6 +101,7 @@ def open_work_file(path: Path, plan: Plan) -> Iterator[WorkFile]:
 
 
 def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
+    """Read the finished rows of a work file, or start it."""
     file.seek(0)
     stored = file.read()
     whole = stored.rfind(b"\n") + 1
@@ -134,7 +135,7 @@ def _taken_over(path: Path, file: IO[bytes], plan: Plan) -> WorkFile:
 
 
 def belongs_to(path: Path, plan: Plan) -> bool:
-    """Tell whether this is the work file of the plan, unfinished."""
+    """Return whether a file is the unfinished work file of the plan."""
     try:
         with path.open("rb") as file:
             header = _content_of(file.readline().rstrip(b"\n"))
@@ -144,6 +145,7 @@ def belongs_to(path: Path, plan: Plan) -> bool:
 
 
 def _content(plan: Plan, outcome: Outcome) -> dict[str, Any]:
+    """Return the JSON object of an outcome."""
     content = {
         "row": outcome.index,
         "key": plan.rows[outcome.index].key,
@@ -160,6 +162,7 @@ def _content(plan: Plan, outcome: Outcome) -> dict[str, Any]:
 
 
 def _outcome_of(plan: Plan, content: dict[str, Any]) -> Outcome | None:
+    """Return the outcome of a JSON object; None if it does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
         return None
@@ -177,19 +180,20 @@ def _outcome_of(plan: Plan, content: dict[str, Any]) -> Outcome | None:
 
 
 def _write_all(file: IO[bytes], content: bytes) -> None:
-    """Write to a file without buffer: what this returns from is with the operating system."""
+    """Write all bytes to an unbuffered file."""
     rest = memoryview(content)
     while rest:
         rest = rest[file.write(rest) :]
 
 
 def _line(content: dict[str, Any]) -> bytes:
+    """Return a line with its checksum."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 
 
 def _content_of(line: bytes) -> dict[str, Any] | None:
-    """JSON of a line; None if its checksum is not its own."""
+    """Return the JSON of a line; None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         return None

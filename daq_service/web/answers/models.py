@@ -76,7 +76,7 @@ def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
             elif column.name.endswith("utc_ns"):
                 fields[column.name.removesuffix("_ns")] = (str | None if column.nullable else str, ...)
             else:
-                fields[column.name] = (column.type, Field(description=column.told))
+                fields[column.name] = (column.type, Field(description=column.description))
         fields |= {name: (field.annotation, field) for name, field in answer.model_fields.items()}
         if fields.keys() & {"due_h", "raised_h"}:
             fields["age_h"] = (float, ...)

@@ -12,7 +12,7 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import SEVERITIES
 from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, status_of
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
-from daq_service.catalogue.reader import Catalogue, LastWord
+from daq_service.catalogue.reader import Catalogue, LatestRows
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.catalogue.store import open_catalogue
 from daq_service.processes.data_folder import LOCK_FILE
@@ -109,7 +109,7 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
     words = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        _position(settings, fresh, name, words.get(name) or LastWord(position=name, method=place.method))
+        _position(settings, fresh, name, words.get(name) or LatestRows(position=name, method=place.method))
         for name, place in settings.positions.items()
     ]
     active = catalogue.rows(AlarmRow, active=True)
@@ -136,7 +136,7 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
     }
 
 
-def _position(settings: Settings, fresh: Freshness, name: str, word: LastWord) -> dict[str, Any]:
+def _position(settings: Settings, fresh: Freshness, name: str, word: LatestRows) -> dict[str, Any]:
     place, data_h = settings.positions[name], data_hour(word)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {

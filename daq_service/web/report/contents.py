@@ -16,7 +16,7 @@ from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
 from daq_service.assessment.restore_state import thickness_interval_m
 from daq_service.catalogue import Catalogue, open_catalogue
-from daq_service.catalogue.reader import Filters, LastWord
+from daq_service.catalogue.reader import Filters, LatestRows
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -89,7 +89,7 @@ class Place:
     label: str
     method: str
     serial_number: str
-    last: LastWord
+    last: LatestRows
     state: str
     data_h: float | None
     age_h: float | None
@@ -231,12 +231,12 @@ def _place(
     settings: Settings,
     fresh: Freshness,
     name: str,
-    word: LastWord | None,
+    word: LatestRows | None,
     sets: Sequence[SetRow],
     asked: Filters,
 ) -> Place:
     place = settings.positions[name]
-    last = word or LastWord(position=name, method=place.method)
+    last = word or LatestRows(position=name, method=place.method)
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
     is_probe = place.method == PULSE_ECHO

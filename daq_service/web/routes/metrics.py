@@ -20,7 +20,7 @@ from daq_service.assessment.position_status import (
     limit_of,
     status_of,
 )
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import Word, look_at_recorder
@@ -133,13 +133,13 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _alarms(map(fresh.standing, catalogue.rows(AlarmRow, active=True)))
     found = catalogue.positions_state()
     words = {
-        name: fresh.standing_word(found.get(name, LastWord(position=name, method=place.method)))
+        name: fresh.standing_word(found.get(name, LatestRows(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
     yield from _of_positions(context, fresh, words)
 
 
-def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]) -> Iterator[Metric]:
+def _of_positions(context: Context, fresh: Freshness, words: dict[str, LatestRows]) -> Iterator[Metric]:
     of_position = ("position",)
     ages_h = {
         name: None if (hour := data_hour(word)) is None else fresh.age_h(hour) for name, word in words.items()
@@ -184,12 +184,12 @@ def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]
     yield each("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)
 
 
-def _quality(word: LastWord) -> str | None:
+def _quality(word: LatestRows) -> str | None:
     measured = word.last_feature or word.last_thickness
     return None if measured is None else measured.quality
 
 
-def _delay_s(word: LastWord) -> float | None:
+def _delay_s(word: LatestRows) -> float | None:
     row = word.last_set
     if row is None or row.started_utc_ns is None:
         return None

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import PositionList, PositionState, problems
@@ -45,9 +45,9 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None) -> dict[str, Any]:
+def _state(context: Context, fresh: Freshness, name: str, found: LatestRows | None) -> dict[str, Any]:
     place = context.settings.positions[name]
-    last = fresh.standing_word(found or LastWord(position=name, method=place.method))
+    last = fresh.standing_word(found or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_verdict, last.active_alarms
     told = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]

@@ -117,7 +117,7 @@ def get_waterfall(
     if shown == "difference":
         sets = _baseline(context, catalogue, position)
         baseline, baseline_sets, baseline_pending = context.waterfall.mean(tiles, index, sets)
-    picture = context.waterfall.picture(tiles, index, wanted, baseline)
+    picture = context.waterfall.figure_of_sets(tiles, index, wanted, baseline)
     planes = _planes(picture, normalised=shown == "normalised")
     is_echo = method == PULSE_ECHO
     header = {

@@ -1,4 +1,4 @@
-"""First catalogue: experiment, measurements, judgements, alarms, events, commands.
+"""First catalogue: experiment, measurements, assessments, alarms, events, commands.
 
 A released revision is never edited: what changes later is a revision of its own.
 """

@@ -1,4 +1,4 @@
-"""What people note of hours of the test."""
+"""Table of notes of people for hours of the test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits and statistics by name, with baselines and verdicts, and the chart beside them."""
+"""Columns of limits and statistics by name for baselines and assessments, and of the control chart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a change comes from, with each verdict."""
+"""Columns of the diagnosis of each assessment."""
 
 from __future__ import annotations
 

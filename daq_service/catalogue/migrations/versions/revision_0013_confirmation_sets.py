@@ -1,4 +1,4 @@
-"""Sets beside the plan, and what they say of a suspicion."""
+"""Columns of confirmation sets and their results."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""``certify``: what a test went through, with a verdict: `evidence`, `facts`, `criteria`, then `page`."""
+"""``certify``: acceptance report of a test: `evidence`, quantities, `criteria`, then `page`."""

@@ -1,4 +1,4 @@
-"""Carry out ``certify``: for a terminal, as a page, as JSON."""
+"""Run ``certify``: write the acceptance report for a terminal, as a page, as JSON."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def certify(
     overwrite: bool,
     progress: Callable[[int, int], None],
 ) -> int:
-    """Make the certificate of a folder; 6 where it does not pass.
+    """Write the acceptance report of a folder; return 6 if it does not pass.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def certify(
     for target in filter(None, (html, json_file)):
         _refuse(data_dir, target, overwrite=overwrite)
     try:
-        made = certificate(
+        report = certificate(
             read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria
         )
     except ValidationError as error:
@@ -57,30 +57,31 @@ def certify(
     if html is not None:
         from daq_service.cli.maintenance.acceptance.figures import picture
 
-        pictures = {item.name: picture(item, made.gaps) for item in made.series if item.hours}
-        _write(html, page(made, pictures))
-    told = json.dumps(as_json(made), allow_nan=False)
+        pictures = {item.name: picture(item, report.gaps) for item in report.series if item.hours}
+        _write(html, page(report, pictures))
+    text = json.dumps(as_json(report), allow_nan=False)
     if json_file is not None:
-        _write(json_file, f"{told}\n".encode())
-    click.echo(told if to_json == STANDARD_OUTPUT else "\n".join(_lines(made)))
-    return EXIT_OK if made.outcome == "pass" else EXIT_NOT_MET
+        _write(json_file, f"{text}\n".encode())
+    click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_lines(report)))
+    return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
 
-def _lines(made: Certificate) -> list[str]:
-    """For a person at a terminal."""
+def _lines(report: Certificate) -> list[str]:
+    """Return the lines for a terminal."""
     rows = [
         (item.state, item.quantity.text, asked(item), interval(item.quantity), item.why)
-        for item in made.comparisons
+        for item in report.comparisons
     ]
     widths = [max(len(row[n]) for row in rows) for n in range(4)]
     lines = [
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[4]]).rstrip()
         for row in rows
     ]
-    return [*lines, *(f"note: {note}" for note in made.notes), f"verdict: {made.outcome}"]
+    return [*lines, *(f"note: {note}" for note in report.notes), f"verdict: {report.outcome}"]
 
 
 def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:
+    """Raise an error for a target that must not be written."""
     inside = target.absolute().is_relative_to(folder.absolute())
     if inside and target.absolute().relative_to(folder.absolute()).parts[0] in OWN_NAMES:
         raise UsageError(f"{target} would lie among the test's own files; choose another name")
@@ -89,6 +90,7 @@ def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:
 
 
 def _write(target: Path, content: bytes) -> None:
+    """Write a file durably."""
     try:
         write_durably(target, content, temporary=target.with_name(f".{target.name}{HINT_SUFFIX}"))
     except OSError as error:

@@ -1,4 +1,4 @@
-"""How the recorder did: starts, delays, costs, memory, handles, disk and clock."""
+"""Quantities of the recorder: starts, delays, durations, memory, handles, disk and clock."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ QUANTILES: Mapping[str, Callable[[Sequence[float]], float]] = {
 
 
 def starts(evidence: Evidence) -> list[tuple[EventRow, EventRow | None]]:
-    """List starts of a recorder, each with the word before it: a farewell, or a start that had none."""
-    words = [row for row in evidence.service if row.kind in PROCESS_EVENTS]
-    following = zip([None, *words], words, strict=False)
+    """List the recorder's starts, each with the previous event: an orderly end, or an earlier start."""
+    events = [row for row in evidence.service if row.kind in PROCESS_EVENTS]
+    following = zip([None, *events], events, strict=False)
     return [(row, before) for before, row in following if row.kind == "recorder_started"]
 
 
 def restart_table(evidence: Evidence) -> Table:
-    """Every start but the first one."""
+    """Return the table of all starts but the first."""
     rows = [
         (
             evidence.hour(row.utc_ns),
@@ -64,10 +64,12 @@ def restart_table(evidence: Evidence) -> Table:
 
 
 def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Span, restarts and ends without a word."""
-    quantity, begun = partial(Quantity, "Recorder"), starts(evidence)
-    died = sum(before is not None and before.kind not in FAREWELLS for _, before in begun)
-    gone = evidence.recorder.word in ("silent", "absent") and not evidence.is_copy and bool(begun)
+    """Yield time span, restarts and unplanned ends."""
+    quantity, recorder_starts = partial(Quantity, "Recorder"), starts(evidence)
+    n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
+    is_gone = (
+        evidence.recorder.word in ("silent", "absent") and not evidence.is_copy and bool(recorder_starts)
+    )
     yield quantity(
         "span_h",
         "time that this certificate covers",
@@ -75,14 +77,14 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
         "from hour 0 to now, or to the last that is stored of a test that has ended or is simulated",
         evidence.hour(evidence.now_ns),
     )
-    n_restarts = max(0, len(begun) - 1)
+    n_restarts = max(0, len(recorder_starts) - 1)
     yield quantity("restarts", "restarts", "1", "events recorder_started but the first", n_restarts)
     yield quantity(
         "unplanned_ends",
         "ends without a word: crash, kill, power",
         "1",
         "starts that no farewell of the recorder before precedes, and a last one that is silent now",
-        died + gone,
+        n_crashes + is_gone,
     )
 
 
@@ -95,16 +97,16 @@ def quantiles(
     *,
     applies: bool = True,
 ) -> Iterator[Quantity]:
-    """Median, 99th percentile and largest of values in s."""
-    for part, found in QUANTILES.items():
-        which = "largest" if part == "max" else f"smallest value that {part[1:]} % do not exceed"
-        value = found(values) if values else None
-        told = (f"{name}_{part}_s", f"{text}, {part}", "s", f"{how}; {which}")
-        yield Quantity("Times", *told, value, missing, applies=applies)
+    """Yield median, 99th percentile and maximum of values in s."""
+    for part, function in QUANTILES.items():
+        definition = "largest" if part == "max" else f"smallest value that {part[1:]} % do not exceed"
+        value = function(values) if values else None
+        fields = (f"{name}_{part}_s", f"{text}, {part}", "s", f"{how}; {definition}")
+        yield Quantity("Times", *fields, value, missing, applies=applies)
 
 
 def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """How late sets began, how long they took, what the line costs besides."""
+    """Yield start delays and durations of sets, and processing time."""
     real, times = evidence.experiment.clock == "wall", times_of_sets(evidence)
     yield from quantiles(
         "start_delay",
@@ -131,15 +133,15 @@ def time_quantities(evidence: Evidence) -> Iterator[Quantity]:
 
 
 def growth_quantities(evidence: Evidence, name: str, text: str, unit: str) -> Iterator[Quantity]:
-    """Most of it, and its slope a 1,000 sets in the recorder that took the most sets."""
-    quantity, found = partial(Quantity, "Recorder"), kept(evidence, name)
+    """Yield the maximum of readings and their slope per 1,000 sets, of the longest run of a recorder."""
+    quantity, readings_of_name = partial(Quantity, "Recorder"), kept(evidence, name)
     missing = NOT_AVAILABLE if readings(evidence) else NOT_KEPT
-    most = max((value for _, value in found), default=None)
+    maximum = max((value for _, value in readings_of_name), default=None)
     yield quantity(
-        f"{name}_max", f"{text}, largest", unit, "largest reading at the end of a set", most, missing
+        f"{name}_max", f"{text}, largest", unit, "largest reading at the end of a set", maximum, missing
     )
     runs: defaultdict[tuple[int, int], list[tuple[int, float]]] = defaultdict(list)
-    for reading, value in found:
+    for reading, value in readings_of_name:
         runs[reading.recorder].append((reading.set_index, value))
     longest = max(runs.values(), key=len, default=[])
     longest = longest[max(WARM_UP_SETS, round(WARM_UP * len(longest))) :]
@@ -153,14 +155,14 @@ def growth_quantities(evidence: Evidence, name: str, text: str, unit: str) -> It
         f"median of all slopes (Theil, Sen) with its {CONFIDENCE:.0%} interval, of the recorder that "
         f"took the most sets, without its first fifth and first {WARM_UP_SETS}: {len(longest)} readings",
         slope,
-        few if found else missing,
+        few if readings_of_name else missing,
         low,
         high,
     )
 
 
 def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Files against the forecast, and the volume."""
+    """Yield the size of the files, their growth against the forecast, and the free space."""
     quantity, sizes = partial(Quantity, "Disk"), list(evidence.file_bytes.values())
     mean, missing = (sum(sizes) / len(sizes) if sizes else None), "no set has a file yet"
     free = min((value for _, value in kept(evidence, "free_bytes")), default=None)
@@ -186,7 +188,7 @@ def disk_quantities(evidence: Evidence) -> Iterator[Quantity]:
 
 
 def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Tell steps, doubt, and how far the computer's UTC was off the test's time."""
+    """Yield steps, doubts, and the deviation of the computer's UTC from the test's time."""
     real = evidence.experiment.clock == "wall"
     quantity = partial(Quantity, "Clock", applies=real)
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]

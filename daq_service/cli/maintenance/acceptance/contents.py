@@ -1,4 +1,4 @@
-"""A certificate: identity, quantities, what happened, series and verdict, in the shape that its JSON has."""
+"""Contents of an acceptance report, in the shape of its JSON."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from daq_service.cli.maintenance.acceptance.series import series_of
 from daq_service.clock import format_utc
 
 SHAPE = "1"
-"""Of the JSON: another one where a key goes or changes its meaning."""
+"""Version of the JSON; it changes when a key is removed or changes its meaning."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certificate:
-    """Everything that page and JSON tell; ``gaps`` from hour to hour."""
+    """Contents of page and JSON; ``gaps`` are ranges of hours."""
 
     made_utc: str
     made_by: str
@@ -41,7 +41,7 @@ class Certificate:
 
 
 def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificate:
-    """Compute it."""
+    """Compute the contents of the report."""
     quantities = [
         *sets.set_quantities(evidence),
         *conduct.time_quantities(evidence),
@@ -74,9 +74,10 @@ def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificat
 
 
 def _identity(evidence: Evidence) -> dict[str, str]:
-    experiment, told = evidence.experiment, evidence.provenance
+    """Return what identifies the test, its configuration and its machine."""
+    experiment, provenance = evidence.experiment, evidence.provenance
     runs = [row.payload for row in evidence.service if row.kind == "recorder_started"]
-    seen = dict.fromkeys(_listed(run.get("versions", {})) for run in runs)
+    versions = dict.fromkeys(_listed(run.get("versions", {})) for run in runs)
     unknown = "unknown: no set can be read"
     configuration = evidence.settings
     return {
@@ -90,28 +91,33 @@ def _identity(evidence: Evidence) -> dict[str, str]:
         "positions": ", ".join(
             f"{name} ({place.method.replace('_', ' ')})" for name, place in configuration.positions.items()
         ),
-        "instruments": _listed({"rig": configuration.rig.kind, **told.get("rig_identity", {})}),
+        "instruments": _listed({"rig": configuration.rig.kind, **provenance.get("rig_identity", {})}),
         "begun by": f"solimon {experiment.solimon_version}",
-        "versions": "; then ".join(item for item in seen if item) or "unknown: no recorder told them",
+        "versions": "; then ".join(item for item in versions if item) or "unknown: no recorder told them",
         "machine": ", ".join(
-            filter(None, [told.get("host"), told.get("platform"), f"Python {told.get('python')}"])
+            filter(
+                None,
+                [provenance.get("host"), provenance.get("platform"), f"Python {provenance.get('python')}"],
+            )
         )
-        if told
+        if provenance
         else unknown,
     }
 
 
 def _listed(values: Mapping[str, Any]) -> str:
+    """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    told, notes = readings(evidence), []
-    taken = {row.set_index for row in evidence.sets if row.n_taken}
-    without = len(taken) - len({reading.set_index for reading in told} & taken)
-    if without:
+    """Return notes on missing or special data."""
+    machine_readings, notes = readings(evidence), []
+    indices = {row.set_index for row in evidence.sets if row.n_taken}
+    n_lacking = len(indices) - len({reading.set_index for reading in machine_readings} & indices)
+    if n_lacking:
         notes.append(
-            f"{without} of {len(taken)} sets have no reading of the machine: an earlier solimon took "
+            f"{n_lacking} of {len(indices)} sets have no reading of the machine: an earlier solimon took "
             "them, or a recorder took over what another one left."
         )
     if evidence.experiment.clock != "wall":
@@ -126,13 +132,13 @@ def _notes(evidence: Evidence) -> list[str]:
     return notes
 
 
-def as_json(made: Certificate) -> dict[str, Any]:
-    """One object; every number stands beside its unit, or under a name that ends in it."""
+def as_json(report: Certificate) -> dict[str, Any]:
+    """Return the report as a JSON object; units are values or endings of names."""
     return {
         "solimon_certificate": SHAPE,
-        "made_utc": made.made_utc,
-        "made_by": made.made_by,
-        "verdict": made.outcome,
+        "made_utc": report.made_utc,
+        "made_by": report.made_by,
+        "verdict": report.outcome,
         "criteria": [
             {
                 "quantity": item.criterion.quantity,
@@ -145,13 +151,13 @@ def as_json(made: Certificate) -> dict[str, Any]:
                 "state": item.state,
                 "why": item.why,
             }
-            for item in made.comparisons
+            for item in report.comparisons
         ],
-        "identity": dict(made.identity),
-        "quantities": {item.name: _told(item) for item in made.quantities},
+        "identity": dict(report.identity),
+        "quantities": {item.name: _as_object(item) for item in report.quantities},
         "tables": {
             table.name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
-            for table in made.tables
+            for table in report.tables
         },
         "series": {
             item.name: {
@@ -161,13 +167,14 @@ def as_json(made: Certificate) -> dict[str, Any]:
                 "values": list(item.values),
                 "missing": item.missing,
             }
-            for item in made.series
+            for item in report.series
         },
-        "notes": list(made.notes),
+        "notes": list(report.notes),
     }
 
 
-def _told(item: Quantity) -> dict[str, Any]:
-    told = asdict(item)
-    del told["name"]
-    return told
+def _as_object(item: Quantity) -> dict[str, Any]:
+    """Return a quantity without its name."""
+    fields = asdict(item)
+    del fields["name"]
+    return fields

@@ -1,4 +1,4 @@
-"""What a test must have come to: each criterion with its limit, and the verdict."""
+"""Acceptance criteria with their limits, and the result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEFT_OUT = "off"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Criterion:
-    """A limit of one of the quantities; ``limit`` None: nobody asks for it."""
+    """A limit of one of the quantities; ``limit`` None: not required."""
 
     quantity: str
     sense: Sense
@@ -41,7 +41,7 @@ DEFAULTS: tuple[Criterion, ...] = (
     # A test of a year and 8,760 sets would take 90 MB and 9 handles more.
     Criterion(quantity="resident_bytes_growth", sense="at most", limit=10e6),
     Criterion(quantity="open_handles_growth", sense="at most", limit=1.0),
-    # What check-config foretells must fit the disk that somebody bought by it.
+    # The disk was chosen by the forecast of check-config.
     Criterion(quantity="growth_of_forecast", sense="at most", limit=1.25),
     Criterion(quantity="clock_step_max_s", sense="at most", limit=60.0),
     Criterion(quantity="clock_doubts", sense="at most", limit=0.0),
@@ -53,7 +53,7 @@ DEFAULTS: tuple[Criterion, ...] = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """A criterion and what the test came to; ``why`` says what its state rests on."""
+    """Result of a criterion; ``why`` is the reason of its state."""
 
     criterion: Criterion
     quantity: Quantity
@@ -62,7 +62,7 @@ class Comparison:
 
 
 def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
-    """Criteria with limits of one's own, as ``NAME=VALUE`` or ``NAME=off``.
+    """Return the criteria with given limits, as ``NAME=VALUE`` or ``NAME=off``.
 
     Raises
     ------
@@ -88,9 +88,9 @@ def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
 
 
 def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:
-    """Compare each with its quantity.
+    """Compare each criterion with its quantity.
 
-    One with an interval passes where all of it keeps the limit, and fails where none of it does.
+    A quantity with an interval passes if the complete interval meets the limit, and fails if none of it does.
     """
     return [
         Comparison(criterion=item, quantity=quantities[item.quantity], state=state, why=why)
@@ -99,23 +99,24 @@ def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) 
     ]
 
 
-def _state(criterion: Criterion, found: Quantity) -> tuple[State, str]:
+def _state(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
+    """Return the state of a criterion and its reason."""
     if criterion.limit is None:
         return "left out", "nobody asks for it"
-    if not found.applies:
-        return "does not apply", found.missing
-    if found.value is None:
-        return "undecided", found.missing
-    ends = [found.value if end is None else end for end in (found.low, found.high)]
-    keeps = [
+    if not quantity.applies:
+        return "does not apply", quantity.missing
+    if quantity.value is None:
+        return "undecided", quantity.missing
+    ends = [quantity.value if end is None else end for end in (quantity.low, quantity.high)]
+    meets = [
         end <= criterion.limit if criterion.sense == "at most" else end >= criterion.limit for end in ends
     ]
-    if all(keeps):
+    if all(meets):
         return "pass", ""
-    return ("undecided", "the limit lies within the interval") if any(keeps) else ("fail", "")
+    return ("undecided", "the limit lies within the interval") if any(meets) else ("fail", "")
 
 
 def outcome(comparisons: Sequence[Comparison]) -> Outcome:
-    """Fail where one fails, pass where each passes that was asked for and applies, else incomplete."""
+    """Return fail if a criterion fails, pass if all applicable ones pass, else incomplete."""
     states = {item.state for item in comparisons}
     return "fail" if "fail" in states else "incomplete" if "undecided" in states else "pass"

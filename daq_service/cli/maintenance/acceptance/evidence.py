@@ -1,4 +1,4 @@
-"""Everything that a certificate is made of, read from a data folder, also beside a running recorder."""
+"""Read the data of an acceptance report from a data folder, also while a recorder runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.rows import AlarmRow, EventRow, ExperimentRow, SetRow, ShotRow
-from daq_service.catalogue.verification import CatalogueLook
+from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.forecast import built_set_bytes
 from daq_service.cli.maintenance.verify import Report
 from daq_service.processes.data_folder import BACKUP_FILE
@@ -31,12 +31,12 @@ from hardware_drivers.nanoseconds import NS_PER_H
 log = logging.getLogger(__name__)
 
 SHOTS_AT_ONCE = 20_000
-"""Rows that are held as objects."""
+"""Maximum number of rows in memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """What a folder tells of its test.
+    """Data of a test for its acceptance report.
 
     Attributes
     ----------
@@ -81,17 +81,17 @@ class Evidence:
     verified: Report | None = None
 
     def hour(self, utc_ns: int) -> float:
-        """Hours of the test."""
+        """Return the hours of the test at a time."""
         return (utc_ns - self.experiment.epoch_utc_ns) / NS_PER_H
 
 
 def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
-    """Read it; nothing in the folder is changed.
+    """Read the data; nothing in the folder is changed.
 
     Raises
     ------
     NoDataYetError
-        No test has begun here.
+        No test has started here.
     CatalogueError
         The catalogue is damaged, or a newer version's.
     ValidationError
@@ -138,14 +138,14 @@ _ENDED = tuple(word for word, _ in FAREWELLS.values())
 
 @contextmanager
 def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
-    """Open a copy, as it is at one moment: an older version's is migrated there, the folder's own stays."""
-    with tempfile.TemporaryDirectory(prefix="solimon-") as place:
-        with CatalogueLook(folder) as look:
-            look.copy_to(Path(place) / FILE_NAME)
+    """Open a copy of one state: an older version is migrated there, the folder's own stays."""
+    with tempfile.TemporaryDirectory(prefix="solimon-") as path:
+        with UnchangedCatalogue(folder) as source:
+            source.copy_to(Path(path) / FILE_NAME)
         try:
-            catalogue = open_catalogue(Path(place), writer=True)
+            catalogue = open_catalogue(Path(path), writer=True)
         except CatalogueError as error:
-            raise type(error)(str(error).replace(place, str(folder))) from error
+            raise type(error)(str(error).replace(path, str(folder))) from error
         with catalogue:
             yield catalogue
 
@@ -168,7 +168,7 @@ def _now_ns(
     *,
     ended: bool,
 ) -> int:
-    """Time of the test until which sets should be there: of one that has ended, or is simulated, its last."""
+    """Return the time until which sets should exist: of an ended or simulated test its last event."""
     last = max([experiment.epoch_utc_ns, *(row.utc_ns for row in service), *(row.due_utc_ns for row in sets)])
     if ended or experiment.clock != "wall":
         return last
@@ -176,13 +176,14 @@ def _now_ns(
 
 
 def _due(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
-    """Count the sets that should have rows: a set may be under way until the next one is due."""
-    told = max((row.set_index + 1 for row in sets), default=0)
-    over = sum(following.due_utc_ns <= now_ns for following in planned[1:])
-    return max(told, over)
+    """Count the sets that should have rows: a set may be in progress until the next one is due."""
+    n_with_rows = max((row.set_index + 1 for row in sets), default=0)
+    n_ended = sum(following.due_utc_ns <= now_ns for following in planned[1:])
+    return max(n_with_rows, n_ended)
 
 
 def _provenance(folder: Path) -> Mapping[str, Any]:
+    """Return the provenance of the newest readable set."""
     reader = FolderSetReader(folder)
     for reference in list(reader.sets().values())[::-1]:
         try:
@@ -193,12 +194,12 @@ def _provenance(folder: Path) -> Mapping[str, Any]:
 
 
 def _file_bytes(folder: Path, sets: Sequence[SetRow]) -> dict[int, int]:
-    """Sizes of the files that are there; a set of the journal has none yet."""
-    found = {}
+    """Return the sizes of existing files by set index; a journaled set has none yet."""
+    sizes = {}
     for row in sets:
-        if row.file is not None and row.set_index not in found:
+        if row.file is not None and row.set_index not in sizes:
             try:
-                found[row.set_index] = (folder / row.file).stat().st_size
+                sizes[row.set_index] = (folder / row.file).stat().st_size
             except OSError as error:
                 log.debug("%s has no size: %s", row.file, error)
-    return found
+    return sizes

@@ -1,4 +1,4 @@
-"""Faults, findings, steps of the clock, and what is damaged."""
+"""Tables and quantities of faults, findings, clock steps and corruption."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """A spell in which the condition of a device's alarm held; ``until_ns`` None: it holds now."""
+    """Period in which the condition of a diagnostic alarm was active; ``until_ns`` None: still active."""
 
     kind: str
     message: str
@@ -26,30 +26,39 @@ class Fault:
 
 
 def faults(evidence: Evidence) -> list[Fault]:
-    """Find them in order: an alarm that nobody acknowledged returns as the same one, but is another fault."""
-    found: dict[int, list[Fault]] = {}
+    """List the faults in order; an alarm that is active again is a new fault."""
+    faults_by_alarm: dict[int, list[Fault]] = {}
     for event in evidence.alarm_events:
         if event.payload["family"] != "device":
             continue
-        its = found.setdefault(event.payload["alarm_id"], [])
+        alarm_faults = faults_by_alarm.setdefault(event.payload["alarm_id"], [])
         if event.kind in ("alarm_raised", "alarm_returned"):
-            told = event.payload["kind"], event.payload["message"]
-            its.append(Fault(kind=told[0], message=told[1], since_ns=event.utc_ns))
-        elif event.kind in ("alarm_cleared", "alarm_reset") and its and its[-1].until_ns is None:
-            its[-1] = replace(its[-1], until_ns=event.utc_ns)
-    return sorted((fault for its in found.values() for fault in its), key=lambda fault: fault.since_ns)
+            alarm = event.payload["kind"], event.payload["message"]
+            alarm_faults.append(Fault(kind=alarm[0], message=alarm[1], since_ns=event.utc_ns))
+        elif (
+            event.kind in ("alarm_cleared", "alarm_reset")
+            and alarm_faults
+            and alarm_faults[-1].until_ns is None
+        ):
+            alarm_faults[-1] = replace(alarm_faults[-1], until_ns=event.utc_ns)
+    return sorted(
+        (fault for alarm_faults in faults_by_alarm.values() for fault in alarm_faults),
+        key=lambda fault: fault.since_ns,
+    )
 
 
 def fault_table(evidence: Evidence) -> Table:
-    """Tell them by kind."""
+    """Return the table of faults by kind."""
     kinds: defaultdict[str, list[Fault]] = defaultdict(list)
     for fault in faults(evidence):
         kinds[fault.kind].append(fault)
     rows = []
-    for kind, its in sorted(kinds.items()):
-        hours = [((fault.until_ns or evidence.now_ns) - fault.since_ns) / NS_PER_H for fault in its]
-        standing = sum(fault.until_ns is None for fault in its)
-        rows.append((kind, len(its), max(hours), sum(hours), standing, its[-1].message))
+    for kind, faults_of_kind in sorted(kinds.items()):
+        hours = [
+            ((fault.until_ns or evidence.now_ns) - fault.since_ns) / NS_PER_H for fault in faults_of_kind
+        ]
+        standing = sum(fault.until_ns is None for fault in faults_of_kind)
+        rows.append((kind, len(faults_of_kind), max(hours), sum(hours), standing, faults_of_kind[-1].message))
     return Table(
         name="faults",
         title="Faults: alarms of instruments, disk, data and clock",
@@ -59,7 +68,7 @@ def fault_table(evidence: Evidence) -> Table:
 
 
 def damage_table(evidence: Evidence) -> Table:
-    """Alarms of the specimen: findings, no faults."""
+    """Return the table of the specimen's alarms: findings, not faults."""
     return Table(
         name="findings",
         title="Alarms of the specimen: what the test found, no fault of it",
@@ -73,7 +82,7 @@ def damage_table(evidence: Evidence) -> Table:
 
 
 def step_table(evidence: Evidence) -> Table:
-    """List the steps of the computer's UTC."""
+    """Return the table of steps of the computer's UTC."""
     return Table(
         name="clock_steps",
         title="Steps of the computer's UTC",
@@ -87,7 +96,7 @@ def step_table(evidence: Evidence) -> Table:
 
 
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
-    """Standing faults, and what was found damaged."""
+    """Yield active faults and detected corruption."""
     quantity, service = partial(Quantity, "Faults and data"), evidence.service
     standing = sum(fault.until_ns is None for fault in faults(evidence))
     how = "device alarms whose condition holds"
@@ -110,7 +119,7 @@ def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
         "files that recorders read again in their idle time",
         "1",
         "sum of the last files_read of each recorder, a file at every round",
-        sum(reading.told["files_read"] for reading in ends) if read else None,
+        sum(reading.payload["files_read"] for reading in ends) if read else None,
         NOT_KEPT,
     )
     report = evidence.verified

@@ -1,4 +1,4 @@
-"""A picture of each series, in the look of the reproduction's figures."""
+"""Draw a figure of each series in the style of the reproduction's figures."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, VERMILLION, hous
 SIZE_IN = (4.7, 1.9)
 """Two of them side by side fill a sheet of paper."""
 FEW = 120
-"""Readings that are seen as dots."""
+"""Maximum number of readings drawn as dots."""
 DASHED = ("forecast", "planned")
 
 
 def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
-    """PNG of a series that has values; ``gaps`` are shaded from hour to hour."""
+    """Return a series with values as PNG; ``gaps`` are shaded ranges of hours."""
     scale, unit = _scale(series)
     with house_style():
         figure = Figure(figsize=SIZE_IN, layout="constrained")
@@ -50,7 +50,8 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
 
 
 def _scale(series: Series) -> tuple[float, str]:
+    """Return scale and unit for a series."""
     if series.unit != "B":
         return 1.0, series.unit
-    most = max(abs(value) for value in series.values)
-    return next(((scale, name) for scale, name in SCALES if most >= scale), (1.0, "B"))
+    maximum = max(abs(value) for value in series.values)
+    return next(((scale, name) for scale, name in SCALES if maximum >= scale), (1.0, "B"))

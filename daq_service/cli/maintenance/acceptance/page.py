@@ -1,4 +1,4 @@
-"""The certificate as one HTML page: opens from disk, prints on paper, refers to nothing outside."""
+"""Write the acceptance report as one self-contained, printable HTML page."""
 
 from __future__ import annotations
 
@@ -50,46 +50,49 @@ _MARKS = {"pass": "✓", "fail": "✗", "undecided": "?", "does not apply": "·"
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
-def page(made: Certificate, pictures: Mapping[str, bytes]) -> bytes:
-    """HTML of a certificate.
+def page(report: Certificate, pictures: Mapping[str, bytes]) -> bytes:
+    """Return the HTML of the report.
 
     Parameters
     ----------
     pictures
         PNG of each series that has values, by its name.
     """
-    title = f"Certificate of the test {made.identity['test']}"
-    quantities = groupby(made.quantities, key=lambda item: item.section)
+    title = f"Certificate of the test {report.identity['test']}"
+    quantities = groupby(report.quantities, key=lambda item: item.section)
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
         f"<header><h1>{escape(title)}</h1>",
-        f"<p class='note'>Made at {made.made_utc} by {escape(made.made_by)}</p></header>",
-        f"<p class='verdict {made.outcome}'><b>{made.outcome}</b><span>{_WORDS[made.outcome]}</span></p>",
-        *(f"<p class='note'>{escape(note)}</p>" for note in made.notes),
+        f"<p class='note'>Made at {report.made_utc} by {escape(report.made_by)}</p></header>",
+        (
+            f"<p class='verdict {report.outcome}'><b>{report.outcome}</b>"
+            f"<span>{_WORDS[report.outcome]}</span></p>"
+        ),
+        *(f"<p class='note'>{escape(note)}</p>" for note in report.notes),
         "<section id='criteria'><h2>Criteria</h2>",
         _table(
             ("", "criterion", "limit", "value", "because"),
-            (_judged(item) for item in made.comparisons),
+            (_criterion_row(item) for item in report.comparisons),
             numbers=(2, 3),
         ),
         "</section><section id='identity'><h2>What was tested</h2>",
-        _table((), ((_cell(name), _cell(value)) for name, value in made.identity.items())),
+        _table((), ((_cell(name), _cell(value)) for name, value in report.identity.items())),
         "</section><section id='pictures'><h2>Over the hours of the test</h2>",
         "<p class='note'>Gaps are shaded.</p><div class='pictures'>",
-        *(_figure(item, pictures.get(item.name)) for item in made.series),
+        *(_figure(item, pictures.get(item.name)) for item in report.series),
         "</div></section><section id='numbers'><h2>Numbers</h2>",
-        *(_section(name, its) for name, its in quantities),
+        *(_section(name, quantities_of_section) for name, quantities_of_section in quantities),
         "</section><section id='events'><h2>What happened</h2>",
-        *(_happened(table) for table in made.tables),
+        *(_happened(table) for table in report.tables),
         "</section></body></html>\n",
     ]
     return "\n".join(parts).encode()
 
 
 def shown(unit: str, *values: float | int | None) -> str:
-    """Write numbers with their unit for a person: the first one, then the interval of the others.
+    """Format numbers with their unit: the first one, then the interval of the others.
 
     Four figures; bytes in the largest unit that fits the first.
     """
@@ -100,29 +103,30 @@ def shown(unit: str, *values: float | int | None) -> str:
     if unit.startswith("B"):
         scale, name = next(((s, name) for s, name in SCALES if abs(value) >= s), (1.0, "B"))
         scaled = f"{name}{unit[1:]}"
-    words = [
+    numbers = [
         f"{item:,}" if isinstance(item, int) and scale == 1.0 else f"{item / scale:.4g}"
         for item in values
         if item is not None
     ]
-    text = f"{words[0]} ({' to '.join(words[1:])})" if len(words) == 1 + len(ends) > 1 else words[0]
+    text = f"{numbers[0]} ({' to '.join(numbers[1:])})" if len(numbers) == 1 + len(ends) > 1 else numbers[0]
     return text if unit == "1" else f"{text} {scaled.removeprefix('1 ')}"
 
 
 def interval(item: Quantity) -> str:
-    """Write a quantity, with its interval where it has one."""
+    """Format a quantity with its interval, if it has one."""
     return shown(item.unit, item.value, item.low, item.high)
 
 
 def asked(item: Comparison) -> str:
-    """Write a criterion's limit; empty: nobody asks."""
+    """Format a criterion's limit; empty if not required."""
     criterion = item.criterion
     return (
         "" if criterion.limit is None else f"{criterion.sense} {shown(item.quantity.unit, criterion.limit)}"
     )
 
 
-def _judged(item: Comparison) -> tuple[str, ...]:
+def _criterion_row(item: Comparison) -> tuple[str, ...]:
+    """Return the table row of a criterion."""
     state = f"<span class='{escape(item.state)}'>{_MARKS[item.state]} {escape(item.state)}</span>"
     return (
         state,
@@ -133,7 +137,8 @@ def _judged(item: Comparison) -> tuple[str, ...]:
     )
 
 
-def _section(name: str, its: Iterable[Quantity]) -> str:
+def _section(name: str, quantities: Iterable[Quantity]) -> str:
+    """Return the HTML of a section of quantities."""
     rows = (
         (
             _cell(item.text),
@@ -141,12 +146,13 @@ def _section(name: str, its: Iterable[Quantity]) -> str:
             f"<span class='aside'>{escape(item.how)}</span>"
             + (f"<br><b>{escape(item.missing)}</b>" if item.missing else ""),
         )
-        for item in its
+        for item in quantities
     )
     return f"<h3>{escape(name)}</h3>" + _table(("what", "value", "how it was found"), rows, numbers=(1,))
 
 
 def _happened(table: Table) -> str:
+    """Return the HTML of a table of events."""
     head = f"<h3>{escape(table.title)}</h3>"
     if not table.rows:
         return f"{head}<p class='note'>{escape(table.empty)}</p>"
@@ -157,6 +163,7 @@ def _happened(table: Table) -> str:
 
 
 def _figure(item: Series, png: bytes | None) -> str:
+    """Return the HTML of a figure."""
     caption = f"<b>{escape(item.title)}</b><span class='note'>{escape(item.how)}</span>"
     if png is None:
         return f"<figure><figcaption>{caption}{escape(item.missing)}</figcaption></figure>"
@@ -168,18 +175,20 @@ def _figure(item: Series, png: bytes | None) -> str:
 
 
 def _table(head: Iterable[str], rows: Iterable[Iterable[str]], numbers: Iterable[int] = ()) -> str:
+    """Return the HTML of a table."""
     aligned = set(numbers)
 
-    def marked(place: int) -> str:
-        return " class='number'" if place in aligned else ""
+    def number_class(column: int) -> str:
+        return " class='number'" if column in aligned else ""
 
-    columns = "".join(f"<th{marked(n)}>{escape(name)}</th>" for n, name in enumerate(head))
+    columns = "".join(f"<th{number_class(n)}>{escape(name)}</th>" for n, name in enumerate(head))
     body = "".join(
-        "<tr>" + "".join(f"<td{marked(n)}>{cell}</td>" for n, cell in enumerate(row)) + "</tr>"
+        "<tr>" + "".join(f"<td{number_class(n)}>{cell}</td>" for n, cell in enumerate(row)) + "</tr>"
         for row in rows
     )
     return f"<table>{f'<thead><tr>{columns}</tr></thead>' if columns else ''}<tbody>{body}</tbody></table>"
 
 
 def _cell(value: Any) -> str:
+    """Return the HTML of a value."""
     return escape(f"{value:.4g}" if isinstance(value, float) else str(value))

@@ -1,4 +1,4 @@
-"""A number of a certificate: its unit, how it was found, or why there is none; and the statistics behind."""
+"""Quantities of an acceptance report: value, unit, method or reason of absence; and their statistics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ WARM_UP, WARM_UP_SETS = 0.2, 10
 """First part of a recorder's sets, and so many at least: it imports, compiles, fills its caches, freezes
 baselines."""
 FEWEST_READINGS = 30
-"""A slope of fewer says nothing."""
+"""Minimum number of readings for a slope."""
 MOST_BLOCKS = 300
 """Readings of a long test are put together, neighbours to their median: all pairs of them are looked at."""
 CONFIDENCE = 0.95
@@ -20,22 +20,22 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One number.
+    """One number of the report.
 
     Attributes
     ----------
     name
         Key in the JSON, with the unit at its end where it has one.
     text, unit, how
-        What it is, in words; its unit, "1" for a mere number; how it was computed.
+        Description; unit, "1" for a pure number; method of computation.
     value
         None: there is none.
     missing
-        Why there is no value; of one that there is, it is left empty.
+        Why there is no value; empty if there is one.
     low, high
-        Ends of its interval; None: it is known as it stands.
+        Ends of its interval; None: it has no uncertainty.
     applies
-        False: nothing of the kind can be measured here, so no criterion asks for it.
+        False: it cannot be measured in this test, so no criterion needs it.
     """
 
     section: str
@@ -56,7 +56,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Things that happened, a row each; units stand in the names of the columns."""
+    """Table of events; the names of columns contain the units."""
 
     name: str
     title: str
@@ -76,9 +76,9 @@ class Series:
     missing
         Why there is nothing to show; where there is something, it is left empty.
     label, others
-        What it is called beside further lines, and these by their names: hours and values.
+        Legend of the series, and further lines by name: hours and values.
     steps
-        It stays between two readings.
+        It is constant between two readings.
     """
 
     name: str
@@ -98,13 +98,13 @@ class Series:
 
 
 def quantile(values: Sequence[float], part: float) -> float:
-    """Smallest of the values that at least this part of them does not exceed."""
+    """Return the smallest value that at least this fraction of the values does not exceed."""
     return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Growth:
-    """Slope a 1,000 sets with the ends of its interval, and of how many readings."""
+    """Slope per 1,000 sets with its interval, and the number of readings."""
 
     slope: float
     low: float
@@ -113,7 +113,7 @@ class Growth:
 
 
 def growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
-    """Median of the slopes of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
+    """Compute the median slope of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
 
     A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow
     where memory moves in waves; medians of neighbours in a long one are less so.

@@ -1,4 +1,4 @@
-"""What the recorder kept with each set: machine readings, and the times of its sets."""
+"""Machine readings that the recorder stores with each set, and the times of sets."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Reading:
 
     set_index: int
     hour: float
-    told: Mapping[str, Any]
+    payload: Mapping[str, Any]
 
     @property
     def recorder(self) -> tuple[int, int]:
-        """Tell one recorder from another."""
-        return self.told["process"], self.told["recorder_wall_utc_ns"]
+        """Process id and start time, which identify a recorder."""
+        return self.payload["process"], self.payload["recorder_wall_utc_ns"]
 
 
 def readings(evidence: Evidence) -> list[Reading]:
-    """Machine readings in the order of their sets."""
+    """Return the machine readings in the order of their sets."""
     found = [
-        Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), told=row.payload)
+        Reading(set_index=row.set_index, hour=evidence.hour(row.utc_ns), payload=row.payload)
         for row in evidence.machine
         if row.kind == MACHINE_READ and row.set_index is not None
     ]
@@ -40,17 +40,21 @@ def readings(evidence: Evidence) -> list[Reading]:
 
 
 def kept(evidence: Evidence, name: str) -> list[tuple[Reading, float]]:
-    """List the readings that have a value."""
-    return [(reading, reading.told[name]) for reading in readings(evidence) if reading.told[name] is not None]
+    """Return the readings that have a value of this name."""
+    return [
+        (reading, reading.payload[name])
+        for reading in readings(evidence)
+        if reading.payload[name] is not None
+    ]
 
 
 def cost_s(reading: Reading) -> float:
-    """Wall time that extracting, storing, judging and committing took."""
-    return float(sum(s for stage, s in reading.told["stage_s"].items() if stage != "strike_and_read_s"))
+    """Return the wall time of extraction, storage, assessment and commit."""
+    return float(sum(s for stage, s in reading.payload["stage_s"].items() if stage != "strike_and_read_s"))
 
 
 def times_of_sets(evidence: Evidence) -> list[tuple[float, float, float]]:
-    """Hour due, start after it in s, and duration in s of each set with a record."""
+    """Return hour due, start delay in s, and duration in s of each set with a record."""
     found = {}
     for row in evidence.sets:
         if row.started_utc_ns is not None and row.ended_utc_ns is not None:

@@ -1,4 +1,4 @@
-"""Every number that was kept over the hours of the test, for a picture each."""
+"""Series of stored quantities over the hours of the test, one per figure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from daq_service.cli.maintenance.acceptance.sets import record_series
 
 
 def series_of(evidence: Evidence) -> Iterator[Series]:
-    """Give one for each thing that was kept."""
+    """Yield a series for each stored quantity."""
     yield record_series(evidence)
     times, real = times_of_sets(evidence), evidence.experiment.clock == "wall"
     hours = [hour for hour, _, _ in times]
@@ -37,9 +37,9 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
     title, how = "Duration of each set", "ended_utc_ns - started_utc_ns, in the test's time"
     took = [took for _, _, took in times]
     yield Series("set_duration_s", title, "s", how, hours, took, "no set has ended")
-    told = readings(evidence)
-    hours = [reading.hour for reading in told]
-    stages = [reading.told["stage_s"] for reading in told]
+    machine_readings = readings(evidence)
+    hours = [reading.hour for reading in machine_readings]
+    stages = [reading.payload["stage_s"] for reading in machine_readings]
     fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
     yield Series(
         "line_cost_s",
@@ -47,11 +47,11 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
         "s",
         "extracting, storing, judging and committing; of it fsync beside",
         hours,
-        [cost_s(reading) for reading in told],
+        [cost_s(reading) for reading in machine_readings],
         NOT_KEPT,
         {"fsync": (hours, fsync_s)},
     )
-    missing = NOT_AVAILABLE if told else NOT_KEPT
+    missing = NOT_AVAILABLE if machine_readings else NOT_KEPT
     for name, title, unit in (
         ("resident_bytes", "Memory of the recorder", "B"),
         ("open_handles", "Open handles of the recorder", "1"),
@@ -79,5 +79,6 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
 
 
 def _kept(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:
+    """Return hours and values of the readings that have a value."""
     found = kept(evidence, name)
     return [reading.hour for reading, _ in found], [value for _, value in found]

@@ -1,4 +1,4 @@
-"""Sets, records and gaps of a test: counted from the catalogue's rows against the schedule."""
+"""Count sets, records and gaps of a test from the catalogue's rows and the schedule."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_SETS = "no set is due yet"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Sets without a record, one after the other, and the time between those with one around them."""
+    """Consecutive sets without a record, and the time between the adjacent sets with one."""
 
     sets: Sequence[DueSet]
     causes: Sequence[str]
@@ -28,12 +28,12 @@ class Gap:
 
     @property
     def hours(self) -> float:
-        """Length."""
+        """Length in h."""
         return self.until_h - self.from_h
 
 
 def by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
-    """Rows of each set."""
+    """Group rows by set."""
     found: defaultdict[int, list[SetRow]] = defaultdict(list)
     for row in rows:
         found[row.set_index].append(row)
@@ -41,35 +41,37 @@ def by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
 
 
 def gaps(evidence: Evidence) -> list[Gap]:
-    """Find them in order; a set at which everything was retired is none."""
+    """List the gaps in order; a set with all transducers disabled is not a gap."""
     rows, found = by_set(evidence.sets), list[Gap]()
-    lacking, causes, from_h = list[DueSet](), dict[str, None](), 0.0
+    missed_sets, causes, from_h = list[DueSet](), dict[str, None](), 0.0
 
     def close(until_h: float) -> None:
-        if lacking:
-            found.append(Gap(sets=tuple(lacking), causes=tuple(causes), from_h=from_h, until_h=until_h))
-        lacking.clear()
+        if missed_sets:
+            found.append(Gap(sets=tuple(missed_sets), causes=tuple(causes), from_h=from_h, until_h=until_h))
+        missed_sets.clear()
         causes.clear()
 
     for due in evidence.planned[: evidence.due]:
-        its = rows.get(due.set_index, [])
-        if any(row.n_taken for row in its):
+        set_rows = rows.get(due.set_index, [])
+        if any(row.n_taken for row in set_rows):
             close(due.due_h)
             from_h = due.due_h
-        elif not its or any(row.state == "missed" for row in its):
-            lacking.append(due)
+        elif not set_rows or any(row.state == "missed" for row in set_rows):
+            missed_sets.append(due)
             causes.update(
-                dict.fromkeys([row.cause or "" for row in its if row.state == "missed"] or [UNTOLD])
+                dict.fromkeys([row.cause or "" for row in set_rows if row.state == "missed"] or [UNTOLD])
             )
     close(evidence.hour(evidence.now_ns))
     return found
 
 
 def set_quantities(evidence: Evidence) -> list[Quantity]:
-    """Count sets and records: planned, taken, valid, missed; gaps."""
+    """Return the numbers of sets and records: planned, taken, valid, missed; gaps."""
     rows, found = by_set(evidence.sets), gaps(evidence)
-    taken = {index: its for index, its in rows.items() if any(row.n_taken for row in its)}
-    partial = [its for its in taken.values() if any(row.state in ("partial", "missed") for row in its)]
+    taken = {index: set_rows for index, set_rows in rows.items() if any(row.n_taken for row in set_rows)}
+    partial = [
+        set_rows for set_rows in taken.values() if any(row.state in ("partial", "missed") for row in set_rows)
+    ]
     missed = sum(len(gap.sets) for gap in found)
     untold = [due for due in evidence.planned[: evidence.due] if due.set_index not in rows]
     of_a_set = sum(
@@ -143,7 +145,7 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
 
 
 def gap_table(evidence: Evidence) -> Table:
-    """Every gap with its causes."""
+    """Return the table of gaps with their causes."""
     rows = [
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.causes))
         for gap in gaps(evidence)
@@ -158,7 +160,7 @@ def gap_table(evidence: Evidence) -> Table:
 
 
 def shortfall_table(evidence: Evidence) -> Table:
-    """Tell what positions lacked in sets that have records, by cause."""
+    """Return the table of missing records in sets with records, by cause."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
     for row in evidence.sets:
@@ -167,13 +169,13 @@ def shortfall_table(evidence: Evidence) -> Table:
     rows = [
         (
             state,
-            ", ".join(sorted({row.position for row in its})),
-            len({row.set_index for row in its}),
-            sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in its),
-            its[0].due_h,
+            ", ".join(sorted({row.position for row in set_rows})),
+            len({row.set_index for row in set_rows}),
+            sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in set_rows),
+            set_rows[0].due_h,
             cause,
         )
-        for (state, cause), its in found.items()
+        for (state, cause), set_rows in found.items()
     ]
     return Table(
         name="shortfalls",
@@ -185,7 +187,7 @@ def shortfall_table(evidence: Evidence) -> Table:
 
 
 def flag_table(evidence: Evidence) -> Table:
-    """Shots by their flags."""
+    """Return the table of shots by flag."""
     return Table(
         name="flags",
         title="Records by what the analysis flagged them with",
@@ -195,7 +197,7 @@ def flag_table(evidence: Evidence) -> Table:
 
 
 def record_series(evidence: Evidence) -> Series:
-    """Count the records of each set, taken and valid."""
+    """Return the records of each set, taken and valid."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
     lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}
     for row in evidence.sets:

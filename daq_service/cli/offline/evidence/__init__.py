@@ -1,1 +1,1 @@
-"""A stored test judged once more by the service's own line: why an alarm stands, what other settings say."""
+"""Reassess a stored test by the service's own code: explain an alarm, or compare other settings."""

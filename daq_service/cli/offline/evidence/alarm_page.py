@@ -1,4 +1,4 @@
-"""An explained alarm as one page of HTML, for whoever has to decide: reads alone, offline, no script."""
+"""Write an explained alarm as one self-contained HTML page without scripts."""
 
 from __future__ import annotations
 
@@ -19,45 +19,47 @@ from daq_service.clock import format_utc
 from daq_service.web.report.page import STYLE, plain, table
 
 STATE = "averages"
-"""What chart and cause remember from set to set: in the JSON, no reader needs it."""
+"""Internal state of chart and diagnosis: only in the JSON."""
 
 
 def title_of(found: Explained) -> str:
-    """Name the alarm in a line."""
+    """Return the title of the alarm."""
     where = f" at position {found.alarm.position}" if found.alarm.position else ""
     return f"Alarm {found.alarm.id}: {found.alarm.kind.replace('_', ' ')}{where}"
 
 
-def comes_out_again(found: Explained) -> str:
-    """Say in a sentence or two what the recomputation shows."""
-    again = found.again
-    if again is None:
+def recomputation_text(found: Explained) -> str:
+    """Describe the result of the recomputation."""
+    recomputed = found.again
+    if recomputed is None:
         return f"This alarm is not recomputed: {found.why_not}. It is told as it is stored."
-    read = f"{again.n_records} records of {again.n_sets} sets were judged again"
+    read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were judged again"
     if found.agrees:
         return (
             f"{read}, and the same set raises the same alarm: features, baseline, limits and verdicts are "
             "what is stored, to the last digit."
         )
-    same = any(one.set_index == found.alarm.raised_set_index for one in again.raised)
-    others = ", ".join(f"set {one.set_index}" for one in again.raised)
+    same = any(one.set_index == found.alarm.raised_set_index for one in recomputed.raised)
+    others = ", ".join(f"set {one.set_index}" for one in recomputed.raised)
     elsewhere = f"it is raised with {others}" if others else "no set raises it"
     then = "the same set raises it" if same else elsewhere
-    return f"{read}, and {then}; but what is stored differs in the {len(again.differences)} points below."
+    return (
+        f"{read}, and {then}; but what is stored differs in the {len(recomputed.differences)} points below."
+    )
 
 
 def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
-    """Return the HTML."""
+    """Return the HTML page."""
     alarm, title = found.alarm, title_of(found)
     sections = {
-        "What was found": _found(found),
+        "What was found": _finding_section(found),
         "The picture": [_figure(picture) for picture in pictures],
-        "Does it come out again?": _again(found),
+        "Does it come out again?": _recomputation_section(found),
         "What to do first": _guidance(alarm.kind),
         "Its history": [_history(found)],
         "Proof, as stored": [table("", (), _rows(alarm.proof))],
     }
-    made = (
+    introduction = (
         f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
         f"{found.experiment.name}; severity {alarm.severity}, now {alarm.state.replace('_', ' ')}. "
         f"Explained by solimon {version('solimon')}."
@@ -66,7 +68,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(made)}</p></header><main>",
+        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(introduction)}</p></header><main>",
     ]
     for heading, content in sections.items():
         if content:
@@ -75,8 +77,8 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 
 def facts_of(found: Explained) -> dict[str, Any]:
-    """Return everything that the page says, and the rows behind it, as plain values."""
-    again, guidance = found.again, GUIDANCE.get(found.alarm.kind)
+    """Return all contents of the page, and the rows behind it, as plain values."""
+    recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
         "configuration_hash": found.experiment.configuration_hash,
@@ -88,32 +90,35 @@ def facts_of(found: Explained) -> dict[str, Any]:
         "history": [transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
-        "told": comes_out_again(found),
-        "recomputed": None if again is None else _facts_of(again),
+        "told": recomputation_text(found),
+        "recomputed": None if recomputed is None else _facts_of(recomputed),
     }
 
 
-def _facts_of(again: Recomputed) -> dict[str, Any]:
-    pulses = again.pulses
+def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
+    """Return the recomputed values."""
+    pulses = recomputed.pulses
     return {
-        "n_sets": again.n_sets,
-        "n_records": again.n_records,
-        "raised": [asdict(one) for one in again.raised],
-        "differences": [asdict(one) for one in again.differences],
-        "baseline": None if again.baseline is None else values(again.baseline),
-        "verdicts": [values(row) for row in again.assessments],
-        "measured": [values(row) for row in again.measured],
-        "shots_without_psw": [{"set_index": index, "n": n} for index, n in again.silent.items()],
+        "n_sets": recomputed.n_sets,
+        "n_records": recomputed.n_records,
+        "raised": [asdict(one) for one in recomputed.raised],
+        "differences": [asdict(one) for one in recomputed.differences],
+        "baseline": None if recomputed.baseline is None else values(recomputed.baseline),
+        "verdicts": [values(row) for row in recomputed.assessments],
+        "measured": [values(row) for row in recomputed.measured],
+        "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
     }
 
 
 def _sentences(found: Explained) -> list[str]:
+    """Return the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
     return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
-def _found(found: Explained) -> list[str]:
+def _finding_section(found: Explained) -> list[str]:
+    """Return the HTML of the alarm's message and evidence."""
     message = found.alarm.message
     return [
         f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
@@ -122,17 +127,19 @@ def _found(found: Explained) -> list[str]:
 
 
 def _figure(picture: Picture) -> str:
-    label = escape(picture.told, quote=True)
+    """Return the HTML of a figure."""
+    label = escape(picture.description, quote=True)
     return (
         f"<figure role='img' aria-label='{label}'>{picture.svg}</figure>"
-        f"<p class='note'>{escape(picture.told)}</p>"
+        f"<p class='note'>{escape(picture.description)}</p>"
     )
 
 
-def _again(found: Explained) -> list[str]:
-    parts = [f"<p>{escape(comes_out_again(found))}</p>"]
-    again = found.again
-    if again is None:
+def _recomputation_section(found: Explained) -> list[str]:
+    """Return the HTML of the recomputation's result."""
+    parts = [f"<p>{escape(recomputation_text(found))}</p>"]
+    recomputed = found.again
+    if recomputed is None:
         return parts
     rows = [
         (
@@ -142,12 +149,12 @@ def _again(found: Explained) -> list[str]:
             plain(one.stored),
             plain(one.again),
         )
-        for one in again.differences
+        for one in recomputed.differences
     ]
     head = ("What", "Sets", "First set", "Stored", "Recomputed")
     parts.append(table("Values are those of the first set that differs", head, rows))
     if assessment := next(
-        (r for r in again.assessments if r.set_index == found.alarm.raised_set_index), None
+        (r for r in recomputed.assessments if r.set_index == found.alarm.raised_set_index), None
     ):
         row = {
             name: value for name, value in values(assessment).items() if name not in (*NOT_COMPARED, STATE)
@@ -157,7 +164,7 @@ def _again(found: Explained) -> list[str]:
 
 
 def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Give name and value of what there is, also within a value."""
+    """Return name and value of all non-empty facts."""
     return [
         (
             name,
@@ -169,6 +176,7 @@ def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _guidance(kind: str) -> list[str]:
+    """Return the HTML of the guidance for a kind of alarm."""
     if (guidance := GUIDANCE.get(kind)) is None:
         return []
     rows = [
@@ -183,16 +191,17 @@ def _guidance(kind: str) -> list[str]:
 
 
 def _history(found: Explained) -> str:
+    """Return the HTML of the alarm's events."""
     rows = []
     for event in found.history:
-        told = transition(event)
+        change = transition(event)
         rows.append(
             (
                 format_utc(event.utc_ns, 0),
                 event.kind.replace("_", " "),
-                (told["state"] or "").replace("_", " "),
-                told["who"] or "",
-                (told["why"] or "") if told["who"] else "",
+                (change["state"] or "").replace("_", " "),
+                change["who"] or "",
+                (change["why"] or "") if change["who"] else "",
             )
         )
     return table("", ("When", "What", "State", "By", "Why"), rows, "No event tells of it.")

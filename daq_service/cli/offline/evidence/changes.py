@@ -1,6 +1,6 @@
-"""What two judgements of a test say differently: alarms that come, go and move; rows column by column. Pure.
+"""Compare two assessments of a test: new, missing and moved alarms; rows column by column. Pure functions.
 
-Rows are compared by their fields, whatever these are, so that a further column needs no word here.
+Rows are compared by their fields, so new columns are included.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 ONSETS = ("alarm_raised", "alarm_returned")
 NOT_COMPARED = frozenset({"id", "created_utc_ns"})
-"""Columns that say when and where a row was stored, not what it means."""
+"""Columns about the storage of a row, not its contents."""
 LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
 """Columns of a baseline that a person's step changes."""
 EXTRACTED = (FeatureRow, ThicknessRow)
-JUDGED = (BaselineRow, AssessmentRow)
+ASSESSED = (BaselineRow, AssessmentRow)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Onset:
-    """An alarm is raised, or comes back before anybody has acknowledged it."""
+    """An alarm is raised, or active again before it was acknowledged."""
 
     position: str
     kind: str
@@ -48,7 +48,7 @@ class Onset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moved:
-    """An alarm that both judgements raise, with different sets."""
+    """An alarm that both assessments raise, with different sets."""
 
     stored: Onset
     again: Onset
@@ -56,7 +56,7 @@ class Moved:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmChanges:
-    """What becomes of the alarms: both judgements raise ``kept`` with the same set."""
+    """Differences of alarms; ``kept`` are raised with the same set."""
 
     kept: Sequence[Onset]
     come: Sequence[Onset]
@@ -66,7 +66,7 @@ class AlarmChanges:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """A column of rows that the two judgements fill differently.
+    """A column of rows that differs between the two assessments.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
 
 
 def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
-    """Compare onsets: those with the same set are kept; of the others the first ones of a kind have moved."""
+    """Compare onsets: same set: kept; of the others the first ones of a kind are moved."""
     before, after = _by_place(stored), _by_place(again)
     kept: list[Onset] = []
     come: list[Onset] = []
@@ -115,16 +115,19 @@ def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChang
     for place in sorted({*before, *after}):
         old, new = before.get(place, {}), after.get(place, {})
         kept += [new[index] for index in sorted(old.keys() & new.keys())]
-        gone = [old[index] for index in sorted(old.keys() - new.keys())]
+        disappeared = [old[index] for index in sorted(old.keys() - new.keys())]
         added = [new[index] for index in sorted(new.keys() - old.keys())]
-        n_moved = min(len(gone), len(added))
-        moved += [Moved(stored=a, again=b) for a, b in zip(gone[:n_moved], added[:n_moved], strict=True)]
-        go += gone[n_moved:]
+        n_moved = min(len(disappeared), len(added))
+        moved += [
+            Moved(stored=a, again=b) for a, b in zip(disappeared[:n_moved], added[:n_moved], strict=True)
+        ]
+        go += disappeared[n_moved:]
         come += added[n_moved:]
     return AlarmChanges(kept=kept, come=come, go=go, moved=moved)
 
 
 def _by_place(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
+    """Group onsets by position and kind."""
     by_place: dict[tuple[str, str], dict[int, Onset]] = {}
     for onset in found:
         by_place.setdefault((onset.position, onset.kind), {})[onset.set_index] = onset
@@ -139,11 +142,11 @@ def differences(
     position: str | None = None,
     up_to_set: int | None = None,
 ) -> list[Difference]:
-    """Compare the rows of these kinds, column by column; of features those of whole sets.
+    """Compare the rows of these kinds, column by column; of features those of complete sets.
 
-    A column that no stored row has is of a later version, and says nothing. A set that only one of the two
-    has a row of differs in the column ``row``. Up to a set, what people did to a baseline is not compared:
-    its row tells that of today, which may have come after the set.
+    A column that no stored row has is of a later version and is ignored. A set with a row in only one of the
+    two differs in the column ``row``. Up to a set, actions of people on a baseline are not compared: its row
+    has the present state, which may be later than the set.
     """
     found = []
     for kind in kinds:
@@ -152,22 +155,22 @@ def differences(
         columns: dict[tuple[str, str], list[tuple[int, Any, Any]]] = {}
         for key in sorted({*old, *new}):
             set_index, _ = old.get(key) or new[key]
-            for name, left, right in differing_columns(
+            for name, stored_value, new_value in differing_columns(
                 old.get(key, (0, None))[1], new.get(key, (0, None))[1]
             ):
                 if name.partition(".")[0] in known or name == "row":
-                    columns.setdefault((key[0], name), []).append((set_index, left, right))
+                    columns.setdefault((key[0], name), []).append((set_index, stored_value, new_value))
         found += [
             Difference(
                 table=kind.__name__.removesuffix("Row").lower(),
                 position=place,
                 column=name,
-                n_rows=len(those),
-                first_set_index=those[0][0],
-                stored=those[0][1],
-                again=those[0][2],
+                n_rows=len(values_that_differ),
+                first_set_index=values_that_differ[0][0],
+                stored=values_that_differ[0][1],
+                again=values_that_differ[0][2],
             )
-            for (place, name), those in columns.items()
+            for (place, name), values_that_differ in columns.items()
         ]
     return found
 
@@ -194,21 +197,21 @@ def _rows(
 def differing_columns(
     stored: Mapping[str, Any] | None, again: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name and both values of each column that differs; ``row`` where only one of them is there."""
+    """Yield name and both values of each differing column; ``row`` if one row is missing."""
     if stored is None or again is None:
-        there = [None if row is None else "there" for row in (stored, again)]
-        yield "row", there[0], there[1]
+        presence = [None if row is None else "there" for row in (stored, again)]
+        yield "row", presence[0], presence[1]
         return
     for name in stored:
-        left, right = _plain(stored[name]), _plain(again[name])
-        if isinstance(left, Mapping) and isinstance(right, Mapping):
-            for below in {**left, **right}:
-                if left.get(below) != right.get(below):
-                    yield f"{name}.{below}", left.get(below), right.get(below)
-        elif left != right:
-            yield name, left, right
+        stored_value, new_value = _plain(stored[name]), _plain(again[name])
+        if isinstance(stored_value, Mapping) and isinstance(new_value, Mapping):
+            for key in {**stored_value, **new_value}:
+                if stored_value.get(key) != new_value.get(key):
+                    yield f"{name}.{key}", stored_value.get(key), new_value.get(key)
+        elif stored_value != new_value:
+            yield name, stored_value, new_value
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON tells it: what is not a number is none, an array is a list."""
+    """Return a value in its JSON form: NaN is None, an array is a list."""
     return orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY))

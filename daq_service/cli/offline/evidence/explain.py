@@ -1,4 +1,4 @@
-"""``solimon explain``: an alarm recomputed, as a page and a file of JSON."""
+"""``solimon explain``: recompute an alarm and write a page and a JSON file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import orjson
 
-from daq_service.cli.offline.evidence.alarm_page import comes_out_again, facts_of, page_of, title_of
+from daq_service.cli.offline.evidence.alarm_page import facts_of, page_of, recomputation_text, title_of
 from daq_service.cli.offline.evidence.explanation import explained
 from daq_service.cli.offline.evidence.reassess import printed_progress
 from daq_service.errors import StorageUnavailableError, UsageError
@@ -16,7 +16,7 @@ from daq_service.shared_file import write_durably
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Explain an alarm into a folder, and say where.
+    """Explain an alarm in a folder, and print its path.
 
     Raises
     ------
@@ -29,8 +29,8 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     if folder.absolute().resolve().is_relative_to(data_dir.absolute().resolve()):
         raise UsageError(f"{folder} lies in the test's own folder; choose another --out")
     page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
-    if there := [path for path in (page, facts_file) if path.exists() and not overwrite]:
-        raise UsageError(f"{there[0]} exists; choose another --out, or replace it with --overwrite")
+    if existing := [path for path in (page, facts_file) if path.exists() and not overwrite]:
+        raise UsageError(f"{existing[0]} exists; choose another --out, or replace it with --overwrite")
     found = explained(data_dir, alarm_id, printed_progress)
     # Brings matplotlib along, which the rest does not need.
     from daq_service.cli.offline.evidence.figures import pictures_of
@@ -50,5 +50,5 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
         click.echo(facts.decode())
         return
     click.echo(f"{title_of(found)}: {found.alarm.message}")
-    click.echo(comes_out_again(found))
+    click.echo(recomputation_text(found))
     click.echo(f"{page}: open it in a browser, or print it; {facts_file.name} has the numbers")

@@ -1,4 +1,4 @@
-"""An alarm recomputed from the records of its position, and where that is not what is stored."""
+"""Recompute an alarm from the records of its position and compare it with the stored one."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.cli.offline.evidence.changes import (
+    ASSESSED,
     EXTRACTED,
-    JUDGED,
     NOT_COMPARED,
     Difference,
     Onset,
@@ -60,16 +60,16 @@ EXTRACTORS: Mapping[type[Row], str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recomputed:
-    """What the records of the alarm's position say, judged again up to the set that raised it.
+    """Reassessment of the records of the alarm's position up to the set that raised it.
 
     Attributes
     ----------
     n_sets, n_records
-        That were read.
+         Numbers of sets and records that were read.
     raised
         Onsets of alarms of this kind there.
     differences
-        Where that is not what is stored; empty: all of it comes out again.
+        Differences from the stored values; empty if none.
     baseline
         None where there is none.
     measured
@@ -77,7 +77,7 @@ class Recomputed:
     silent
         Shots without a reflected wave, by set.
     pulses
-        Waves of the set that raised it beside those of the baseline; None where there are none.
+        Waves of the set that raised it and of the baseline; None if there are none.
     """
 
     n_sets: int
@@ -94,14 +94,14 @@ class Recomputed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explained:
-    """An alarm with what it rests on.
+    """An alarm with its evidence.
 
     Attributes
     ----------
     history
         Its events.
     again
-        None where it does not follow from records; ``why_not`` says so.
+        None if it does not follow from records; ``why_not`` is the reason.
     """
 
     experiment: ExperimentRow
@@ -113,12 +113,12 @@ class Explained:
 
     @property
     def agrees(self) -> bool | None:
-        """True where all of it comes out again; None where it does not follow from records."""
+        """True if all values agree; None if the alarm does not follow from records."""
         return None if self.again is None else not self.again.differences
 
 
 def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, total: None) -> Explained:
-    """Recompute an alarm of a stored test, which may still run; the folder is only read.
+    """Recompute an alarm of a stored or running test; the folder is only read.
 
     Raises
     ------
@@ -153,13 +153,14 @@ def explained(folder: Path, alarm_id: int, progress: Progress = lambda done, tot
 
 
 def _unknown(alarm_id: int, alarms: Sequence[AlarmRow]) -> str:
-    told = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
-    there = f"there are {', '.join(told)}" if told else "none was raised in this test"
-    return f"there is no alarm {alarm_id}; {there}"
+    """Return the message for an unknown alarm."""
+    alarm_texts = [f"{row.id} ({row.kind}{f' at {row.position}' if row.position else ''})" for row in alarms]
+    available = f"there are {', '.join(alarm_texts)}" if alarm_texts else "none was raised in this test"
+    return f"there is no alarm {alarm_id}; {available}"
 
 
 def _not_of_records(alarm: AlarmRow) -> str:
-    """Say why an alarm does not follow from the records of a position; empty: it does."""
+    """Return why an alarm does not follow from the records of a position; empty if it does."""
     if alarm.position is None:
         return "it is about the test as a whole, not about the records of a position"
     if alarm.raised_set_index is None:
@@ -175,6 +176,7 @@ def _recomputed(
     history: Sequence[EventRow],
     progress: Progress,
 ) -> Recomputed:
+    """Reassess the position of an alarm up to its set."""
     position, up_to_set = alarm.position, alarm.raised_set_index
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
     _refuse_other_extractor(stored, settings, position, up_to_set)
@@ -198,7 +200,7 @@ def _recomputed(
         method = METHODS[settings.positions[position].method]
         found = [
             *_of_alarm(alarm, history, again),
-            *differences((*EXTRACTED, *JUDGED), stored, again, position=position, up_to_set=up_to_set),
+            *differences((*EXTRACTED, *ASSESSED), stored, again, position=position, up_to_set=up_to_set),
         ]
         pulses = None
         if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
@@ -218,6 +220,7 @@ def _recomputed(
 
 
 def _refuse_other_extractor(stored: Catalogue, settings: Settings, position: str, up_to_set: int) -> None:
+    """Raise an error if the results are of another extractor."""
     kind = METHODS[settings.positions[position].method].row
     columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
     if others := sorted(set(columns["extractor_version"]) - {EXTRACTORS[kind]}):
@@ -230,7 +233,7 @@ def _refuse_other_extractor(stored: Catalogue, settings: Settings, position: str
 
 
 def _records_at(position: str, archive: FolderSetReader, reference: SetReference) -> SetRecord:
-    """Read a set and keep what one position gave; a set that has nothing of it is kept whole."""
+    """Read a set and keep the records of one position; without any, keep the complete set."""
     try:
         record = archive.read_set(reference)
     except CorruptArchiveError:
@@ -252,9 +255,9 @@ def _records_at(position: str, archive: FolderSetReader, reference: SetReference
 
 
 def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) -> list[Difference]:
-    """Compare the alarm as it was raised with the one that the same set raises again."""
-    told = next((event.payload for event in history if event.kind == "alarm_raised"), None)
-    anew: Mapping[str, Any] | None = next(
+    """Compare the stored alarm with the recomputed one of the same set."""
+    stored_alarm = next((event.payload for event in history if event.kind == "alarm_raised"), None)
+    new_alarm: Mapping[str, Any] | None = next(
         (
             event.payload
             for event in again.rows(EventRow, topic="alarms", kind="alarm_raised", position=alarm.position)
@@ -262,9 +265,11 @@ def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) ->
         ),
         None,
     )
-    if told is not None and anew is not None:
-        of_raising = told.keys() & anew.keys() - NOT_COMPARED - {"alarm_id"} - _SUPPRESSION
-        told, anew = ({name: row[name] for name in sorted(of_raising)} for row in (told, anew))
+    if stored_alarm is not None and new_alarm is not None:
+        of_raising = stored_alarm.keys() & new_alarm.keys() - NOT_COMPARED - {"alarm_id"} - _SUPPRESSION
+        stored_alarm, new_alarm = (
+            {name: row[name] for name in sorted(of_raising)} for row in (stored_alarm, new_alarm)
+        )
     assert alarm.position is not None and alarm.raised_set_index is not None, "it follows from records"  # noqa: PT018
     return [
         Difference(
@@ -276,7 +281,7 @@ def _of_alarm(alarm: AlarmRow, history: Sequence[EventRow], again: Catalogue) ->
             stored=left,
             again=right,
         )
-        for name, left, right in differing_columns(told, anew)
+        for name, left, right in differing_columns(stored_alarm, new_alarm)
     ]
 
 
@@ -287,11 +292,13 @@ _SUPPRESSION = frozenset(name for name in AlarmRow.__slots__ if name.startswith(
 def _of_sets(
     catalogue: Catalogue, method: MeasuringMethod, position: str
 ) -> Sequence[FeatureRow | ThicknessRow]:
+    """Return the results of the sets of a position."""
     of_place: Filters = {**method.of_sets, "position": position}
     return catalogue.rows(method.row, **of_place)
 
 
 def _silent(shots: Sequence[ShotRow]) -> dict[int, int]:
+    """Count the shots without reflected wave by set."""
     counts: dict[int, int] = {}
     for shot in shots:
         silent = shot.outcome == ACCEPTED and "no_psw" in shot.flags

@@ -1,4 +1,4 @@
-"""Features of sets extracted in an executor, ahead of their judgement, which takes set after set."""
+"""Extract features of sets in an executor ahead of the sequential assessment."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from daq_service.processes.executors import worker_lost
 from hardware_drivers.measurement import Shot, ShotKey, Stamp, Waveform
 
 SETS_AHEAD = 2
-"""Of each worker: so none waits, and memory holds few records."""
+"""Sets ahead per worker: no worker waits, and memory holds few records."""
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class ExtractedAhead:
-    """Reads sets in their order, and has the features of the next ones extracted meanwhile.
+    """Reads sets in order while features of the next ones are extracted.
 
     Attributes
     ----------
     rehearsal
-        The records are noise.
+         The records are noise of a dry run.
     references
-        Every set that will be asked for, in about the order in which that happens.
+        All sets in approximately the order of the requests.
     """
 
     executor: Executor
@@ -40,7 +40,7 @@ class ExtractedAhead:
     _of_set: dict[int, Future[dict[int, ShotFeatures]]] = field(default_factory=dict)
 
     def read_set(self, reference: SetReference) -> SetRecord:
-        """Give a set's record; `features` is asked for it next."""
+        """Return a set's record; `features` must be called next."""
         for following in self.references:
             self._begin(following)
             if reference in self._under_way and len(self._under_way) > SETS_AHEAD * self.workers:
@@ -52,8 +52,9 @@ class ExtractedAhead:
         return record
 
     def _begin(self, reference: SetReference) -> None:
+        """Read a set and start the extraction of its features."""
         record = self.read(reference)
-        # Without what the twin and the instrument say of a shot: extraction does not read it.
+        # Without truth and settings of a shot: extraction does not use them.
         records = [(shot.sequence, shot.key, shot.stamp, shot.waveform) for shot in record.shots]
         future = self.executor.submit(_extracted, self.rehearsal, records)
         self._under_way[reference] = record, future

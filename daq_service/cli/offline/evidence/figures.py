@@ -1,4 +1,4 @@
-"""Pictures of an explained alarm as SVG within the page; numbers that they show are in its JSON file, too."""
+"""Draw the figures of an explained alarm as SVG; the JSON file has their numbers."""
 
 from __future__ import annotations
 
@@ -29,31 +29,32 @@ from daq_service.web.report.figures import (
 )
 
 LOG_FROM = 100.0
-"""A statistic whose largest value is so many times its limit is drawn on a logarithmic axis."""
+"""Ratio of maximum to limit above which the axis is logarithmic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """An SVG element and what it shows, in words."""
+    """An SVG element and its description."""
 
     name: str
-    told: str
+    description: str
     svg: str
 
 
 def pictures_of(found: Explained) -> list[Picture]:
-    """Draw what the alarm rests on; nothing where nothing was recomputed."""
+    """Draw the evidence of the alarm; nothing without a recomputation."""
     if found.again is None:
         return []
-    drawn = [
+    pictures = [
         _waves(found, found.again.pulses) if found.again.pulses else None,
         _over_sets(found, found.again),
     ]
-    drawn.append(_contributions(found.alarm.proof.get("contributions") or {}))
-    return [picture for picture in drawn if picture is not None]
+    pictures.append(_contributions(found.alarm.proof.get("contributions") or {}))
+    return [picture for picture in pictures if picture is not None]
 
 
 def _waves(found: Explained, pulses: Pulses) -> Picture:
+    """Draw the mean record of the set and that of the baseline."""
     time_us = 1e6 * pulses.time_s
     with mpl.rc_context(RULES):
         figure, axis = _figure(1.6)
@@ -64,11 +65,11 @@ def _waves(found: Explained, pulses: Pulses) -> Picture:
         axis.set(xlabel="time since the peak of the incident wave (µs)", ylabel="sensor (V)")
         axis.legend(**ABOVE)
         svg = svg_of(figure, "waves")
-    told = (
+    description = (
         f"The mean record of set {found.alarm.raised_set_index} over the mean of the baseline, laid on each "
         "other at the peak of the incident wave; the reflected wave comes later."
     )
-    return Picture(name="waves", told=told, svg=svg)
+    return Picture(name="waves", description=description, svg=svg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,12 +82,13 @@ class _Panel:
     limits: Mapping[str, float]
 
 
-def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
-    panels = [panel for panel in _panels(found, again) if panel.values]
+def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
+    """Draw the quantities of all sets up to the alarm."""
+    panels = [panel for panel in _panels(found, recomputed) if panel.values]
     if not panels:
         return None
-    baseline_ends_h = max((row.due_h for row in again.assessments if row.in_baseline), default=None)
-    raised_h = next(row.due_h for row in again.sets if row.set_index == found.alarm.raised_set_index)
+    baseline_ends_h = max((row.due_h for row in recomputed.assessments if row.in_baseline), default=None)
+    raised_h = next(row.due_h for row in recomputed.sets if row.set_index == found.alarm.raised_set_index)
     with mpl.rc_context(RULES):
         figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * len(panels)), layout="constrained")
         axes = [axis for (axis,) in figure.subplots(len(panels), 1, squeeze=False, sharex=True)]
@@ -98,18 +100,19 @@ def _over_sets(found: Explained, again: Recomputed) -> Picture | None:
             axis.legend(**ABOVE)
         axes[-1].set_xlabel("hour of the test at which the set was due")
         svg = svg_of(figure, "sets")
-    what = " and ".join(panel.label for panel in panels)
+    labels = " and ".join(panel.label for panel in panels)
     shaded = "" if baseline_ends_h is None else "the baseline is shaded, "
-    told = f"{what} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
-    return Picture(name="sets", told=told[0].upper() + told[1:], svg=svg)
+    description = f"{labels} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
+    return Picture(name="sets", description=description[0].upper() + description[1:], svg=svg)
 
 
 def _draw(axis: Axes, panel: _Panel) -> None:
+    """Draw a panel."""
     axis.plot(panel.hours, panel.values, linestyle="none", marker="o", color=BLUE)
-    for (words, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
-        axis.axhline(limit, label=words, **style)
-    least = min(panel.limits.values(), default=0.0)
-    if least > 0.0 and max(panel.values) > LOG_FROM * least:
+    for (label, limit), style in zip(panel.limits.items(), _STYLES, strict=False):
+        axis.axhline(limit, label=label, **style)
+    smallest_limit = min(panel.limits.values(), default=0.0)
+    if smallest_limit > 0.0 and max(panel.values) > LOG_FROM * smallest_limit:
         axis.set_yscale("log")
     axis.set_ylabel(panel.label)
 
@@ -121,26 +124,26 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 )
 
 
-def _panels(found: Explained, again: Recomputed) -> Iterable[_Panel]:
-    """Give what the kind of alarm is about: statistics with limits, thickness, silent or valid shots."""
+def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
+    """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
     proof, rule = found.alarm.proof, found.alarm.proof.get("rule") or {}
     if found.alarm.kind == "thickness":
-        read = [(row.due_h, getattr(row, "thickness_m", None)) for row in again.measured]
+        read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
         yield _panel("wall (mm)", read, {"limit": proof.get("limit_m")}, 1e3)
     elif found.alarm.kind == "hole":
-        counted = [(row.due_h, float(again.silent.get(row.set_index, 0))) for row in again.sets]
+        counted = [(row.due_h, float(recomputed.silent.get(row.set_index, 0))) for row in recomputed.sets]
         yield _panel("shots without reflected wave", counted, {"alarm from here": rule.get("shots")})
     elif "minimum_valid_shots" in proof:
-        counted = [(row.due_h, float(row.n_valid)) for row in again.sets if row.n_planned]
+        counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
         yield _panel("valid shots", counted, {"needed": proof["minimum_valid_shots"]})
-    elif again.baseline is not None:
-        limits = limits_by_name(again.baseline)
-        asked = (str(proof.get("limit_name")), found.settings.novelty.limit, CHART)
-        names = [name for name in dict.fromkeys(asked) if name in LIMITS]
+    elif recomputed.baseline is not None:
+        limits = limits_by_name(recomputed.baseline)
+        limit_names = (str(proof.get("limit_name")), found.settings.novelty.limit, CHART)
+        names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}
             a_name = next(iter(of_it))
-            values = [(row.due_h, statistic_of(row, a_name)) for row in again.assessments]
+            values = [(row.due_h, statistic_of(row, a_name)) for row in recomputed.assessments]
             label = "squared distance" if statistic == DISTANCE else statistic.replace("_", " ")
             yield _panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
 
@@ -151,31 +154,34 @@ def _panel(
     limits: Mapping[str, float | None],
     factor: float = 1.0,
 ) -> _Panel:
-    there = [(hour, factor * value) for hour, value in points if value is not None]
+    """Return a panel without missing values."""
+    present = [(hour, factor * value) for hour, value in points if value is not None]
     return _Panel(
         label=label,
-        hours=[hour for hour, _ in there],
-        values=[value for _, value in there],
-        limits={words: factor * limit for words, limit in limits.items() if limit is not None},
+        hours=[hour for hour, _ in present],
+        values=[value for _, value in present],
+        limits={label: factor * limit for label, limit in limits.items() if limit is not None},
     )
 
 
 def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
+    """Draw the contributions of the features."""
     known = {name: part for name, part in parts.items() if part is not None}
     if not known:
         return None
-    whole = sum(known.values()) or 1.0
+    total = sum(known.values()) or 1.0
     names = sorted(known, key=lambda name: known[name])
     with mpl.rc_context(RULES):
         figure, axis = _figure(1.0)
-        axis.barh(np.arange(len(names)), [100.0 * known[name] / whole for name in names], color=BLUE)
+        axis.barh(np.arange(len(names)), [100.0 * known[name] / total for name in names], color=BLUE)
         axis.set_yticks(np.arange(len(names)), [FEATURES.get(name, name.replace("_", " ")) for name in names])
         axis.set_xlabel("share (%)")
         svg = svg_of(figure, "contributions")
-    told = "What each feature contributes to what was compared with the limit."
-    return Picture(name="contributions", told=told, svg=svg)
+    description = "What each feature contributes to what was compared with the limit."
+    return Picture(name="contributions", description=description, svg=svg)
 
 
 def _figure(panels: float) -> tuple[Figure, Axes]:
+    """Create a figure with one axis."""
     figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * panels), layout="constrained")
     return figure, figure.subplots()

@@ -1,4 +1,4 @@
-"""Settings of a stored test with some that judge changed: ``--set KEY=VALUE``."""
+"""Change settings of the assessment of a stored test: ``--set KEY=VALUE``."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ ASSESSMENT_KEYS: Mapping[str, frozenset[str] | None] = {
     "alarms": None,
     "quality": frozenset({"no_data_sets", "retire_after_sets"}),
 }
-"""Tables of the configuration that say how a record is judged, and their keys (None: all). The others say how
-a test is taken, kept or shown, which no later judgement changes."""
+"""Tables of the configuration about the assessment, and their keys (None: all). Others concern acquisition,
+storage or display, which a reassessment does not change."""
 
 
 def assessment_keys() -> list[str]:
-    """Name every key that may be set."""
+    """Return the names of all keys that may be set."""
     return [
         f"{table}.{key}"
         for table, keys in ASSESSMENT_KEYS.items()
@@ -35,12 +35,12 @@ def assessment_keys() -> list[str]:
 
 
 def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
-    """Read ``KEY=VALUE``: a value is JSON, or else text.
+    """Parse ``KEY=VALUE``: a value is JSON, or else text.
 
     Raises
     ------
     UsageError
-        Not of this form, twice the same key, or a key that does not judge.
+        Not of this form, twice the same key, or a key that does not concern the assessment.
     """
     found: dict[KeyPath, Any] = {}
     for text in texts:
@@ -63,16 +63,18 @@ def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
 
 
 def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
-    """Lay what is given over the configuration that a test began with.
+    """Return the configuration of a test with changed values.
 
     Raises
     ------
     UsageError
         A value is refused: key, value, bound.
     """
-    kept = flattened(renamed(configuration)).items()
+    stored_values = flattened(renamed(configuration)).items()
     try:
-        return stored_settings(nested({p: v for p, v in kept if not _replaced(p, given)} | dict(given)))
+        return stored_settings(
+            nested({p: v for p, v in stored_values if not _replaced(p, given)} | dict(given))
+        )
     except ValidationError as error:
         lines = [
             f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')} "
@@ -83,7 +85,7 @@ def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> S
 
 
 def _replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
-    """Tell whether a key, one above it or one below it is given."""
+    """Return whether a key, a parent or a child of it is given."""
     return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
 
 

@@ -1,4 +1,4 @@
-"""Records laid over each other at the incident wave's peak: those of a set beside the baseline's mean."""
+"""Align records at the peak of the incident wave: mean of a set and mean of the baseline."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def pulses_of(
     position: str,
     set_index: int,
 ) -> Pulses | None:
-    """Read the records of a set and of its baseline once more; None where either has no incident wave."""
+    """Read the records of a set and of its baseline again; None if either has no incident wave."""
     indices = [] if baseline is None else baseline.provenance.get("set_indices", [])
     spread = indices[:: math.ceil(len(indices) / MOST_BASELINE_SETS)] if indices else []
     time_s = np.arange(FIRST_S, LAST_S, STEP_S)
@@ -67,7 +67,7 @@ def _mean_record(
     set_index: int,
     time_s: NDArray[np.float64],
 ) -> NDArray[np.float64] | None:
-    """Average the accepted records of a set: the valid ones, or where there are none all with a wave."""
+    """Average the accepted records of a set: the valid ones, or else all with an incident wave."""
     (its_set,) = catalogue.rows(SetRow, position=position, set_index=set_index)
     if its_set.file is None:
         return None

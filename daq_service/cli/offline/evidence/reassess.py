@@ -1,7 +1,7 @@
-"""A stored test judged once more, from its files, into a catalogue of its own; the folder is only read.
+"""Reassess a stored test from its files into a temporary catalogue; the folder is only read.
 
-Sets, and what people did in between, come in the order in which they were committed. Alarms are raised anew:
-what a person acknowledged or reset then is acknowledged or reset at the same place, where it stands now.
+Sets and the actions of people follow in the order of their commits. Alarms are raised again; acknowledgements
+and resets are repeated if the alarm is active at that time.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ Progress = Callable[[int, int], None]
 
 @contextmanager
 def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue]:
-    """Give an empty catalogue of this experiment in a temporary folder, which goes with it."""
+    """Create an empty catalogue of this experiment in a temporary folder."""
     with (
         tempfile.TemporaryDirectory(prefix="solimon-again-") as folder,
         open_for_a_while(Path(folder)) as catalogue,
@@ -66,7 +66,7 @@ def temporary_catalogue(experiment: ExperimentRow) -> Iterator[RecorderCatalogue
 
 
 def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFeatures]:
-    """Read the features of a set's shots as they are stored; a shot without a row is extracted."""
+    """Read the stored features of a set's shots; a shot without a row is extracted."""
     places = {shot.key.position for shot in record.shots}
     flags = {
         row.sequence: tuple(row.flags)
@@ -88,6 +88,7 @@ def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, Shot
 
 
 def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
+    """Return stored features in the form of extracted ones."""
     known = {name: getattr(row, name) for name in ALL_FEATURE_NAMES}
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in known.items()}
     return ShotFeatures(**values, flags=flags, valid=bool(row.n_valid), quality=row.quality, compared=True)
@@ -104,14 +105,14 @@ def assess_again(
     read_set: ReadSet | None = None,
     progress: Progress = lambda done, total: None,
 ) -> set[int]:
-    """Judge the sets of a folder once more; what comes of it fills ``again``.
+    """Reassess the sets of a folder; the results fill ``again``.
 
     Parameters
     ----------
     settings
-        What to judge by, which may be others than the test's own.
+        Settings of the assessment, which may differ from the test's own.
     up_to_set
-        The last set that is judged; None: all.
+        The last set that is assessed; None: all.
     read_set
         Reads a set's record; None: as it is stored.
     progress
@@ -120,7 +121,7 @@ def assess_again(
     Returns
     -------
     set of int
-        Indices of the sets that were judged.
+        Indices of the assessed sets.
 
     Raises
     ------
@@ -128,12 +129,14 @@ def assess_again(
         A set cannot be read, or not wholly.
     """
     archive = FolderSetReader(folder)
-    return _Again(stored, again, archive, settings, features, read_set or archive.read_set).run(
+    return _Reassessment(stored, again, archive, settings, features, read_set or archive.read_set).run(
         up_to_set, progress
     )
 
 
-class _Again:
+class _Reassessment:
+    """Reassesses the sets of a test into another catalogue."""
+
     def __init__(
         self,
         stored: Catalogue,
@@ -146,13 +149,12 @@ class _Again:
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
-        self._set_assessor = SetAssessor(
-            settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run
-        )
-        # Alarms of this judgement are no news of a test.
+        self._assessor = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
+        # Alarms of this assessment are not reported.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
+        """Reassess the sets in their order and return their indices."""
         events = [
             event
             for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
@@ -162,9 +164,9 @@ class _Again:
         done: set[int] = set()
         for event in events:
             if event.kind in STEPS:
-                self._take_step(event)
+                self._repeat_baseline_action(event)
             elif event.set_index is None:
-                self._take_deed(event)
+                self._repeat_alarm_action(event)
             elif self._is_set(event, up_to_set) and event.set_index not in done:
                 self._take_set(event.set_index)
                 done.add(event.set_index)
@@ -180,55 +182,56 @@ class _Again:
         return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
 
     def _take_set(self, set_index: int) -> None:
+        """Assess a set from its file or its rows."""
         rows = self._stored.rows(SetRow, set_index=set_index)
         file = next((row.file for row in rows if row.file), None)
         if file is None:
-            self._take_empty(rows)
+            self._take_set_without_records(rows)
             return
         record = self._read_set(SetReference(file))
         due = due_of(record)
         if due.position in (None, *self._settings.positions):
-            self._set_assessor.commit(self._set_assessor.assessed(due, record, file, self._features(record)))
+            self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 
-    def _take_empty(self, rows: list[SetRow]) -> None:
-        """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
-        self._set_assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
+    def _take_set_without_records(self, rows: list[SetRow]) -> None:
+        """Store the rows of a set without records; failed strikes may raise alarms."""
+        self._assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "retired" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
-                for condition in self._set_assessor.passed(row):
-                    self._set_assessor.update_alarm(condition, moment)
+                for condition in self._assessor.passed(row):
+                    self._assessor.update_alarm(condition, moment)
 
-    def _take_step(self, event: EventRow) -> None:
-        """Do again what a person did to a baseline; its numbers are those of this judgement."""
-        told = BaselineRow(
+    def _repeat_baseline_action(self, event: EventRow) -> None:
+        """Repeat a person's action on a baseline; its numbers are those of this assessment."""
+        stored = BaselineRow(
             **{name: event.payload[name] for name in BaselineRow.__slots__ if name in event.payload}
         )
-        rows = {row.id: row for row in self._again.rows(BaselineRow, position=told.position)}
-        if (present := rows.get(told.id)) is not None:
-            step = {name: getattr(told, name) for name in LIFE}
+        rows = {row.id: row for row in self._again.rows(BaselineRow, position=stored.position)}
+        if (present := rows.get(stored.id)) is not None:
+            step = {name: getattr(stored, name) for name in LIFE}
             self._again.restore([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            its = planned(told.position, self._settings, self._again.baseline(told.position))
-            last_set = told.first_set_index + its.last_set - its.first_set
-            self._again.restore([replace(told, last_set_index=last_set)])
-        self._set_assessor.renewed(told.position)
+            baseline_plan = planned(stored.position, self._settings, self._again.baseline(stored.position))
+            last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
+            self._again.restore([replace(stored, last_set_index=last_set)])
+        self._assessor.renewed(stored.position)
 
-    def _take_deed(self, event: EventRow) -> None:
-        """Do again what a person did to an alarm, where it stands in this judgement, too."""
+    def _repeat_alarm_action(self, event: EventRow) -> None:
+        """Repeat a person's action on an alarm, if it is active in this assessment."""
         if event.topic != "alarms" or "kind" not in event.payload:
             return
         kind = event.payload["kind"]
-        row = self._set_assessor.alarms.get((event.position, kind))
+        row = self._assessor.alarms.get((event.position, kind))
         due_h = (event.utc_ns - self._epoch_utc_ns) / NS_PER_H
         moment = Moment(utc_ns=event.utc_ns, due_h=due_h, set_index=None)
         author = event.payload.get("author") or event.payload.get("acknowledged_by") or ""
         note = event.payload.get("note") or ""
         change = None
-        if event.kind == "alarm_raised":  # by a person's order, or by what the records do not tell
-            told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
-            change = Change(row=AlarmRow(**{**told, "id": None}), event_kind=event.kind)
+        if event.kind == "alarm_raised":  # by a person's command, or not from records
+            columns = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
+            change = Change(row=AlarmRow(**{**columns, "id": None}), event_kind=event.kind)
         elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:
             change = acknowledge(row, author, note, moment)
         elif row is not None and event.kind == "alarm_reset" and row.state != "normal":
@@ -236,11 +239,11 @@ class _Again:
         if change is not None:
             transaction = Transaction()
             transaction.add_alarm(change, moment)
-            self._set_assessor.commit(transaction)
+            self._assessor.commit(transaction)
         if event.kind == "alarm_reset" and kind in RETIRING and event.position in self._settings.positions:
-            self._set_assessor.reinstated(event.position)
+            self._assessor.reinstated(event.position)
 
 
 def printed_progress(done: int, total: int) -> None:
-    """Tell on standard error how far it is."""
+    """Print the progress to standard error."""
     click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)

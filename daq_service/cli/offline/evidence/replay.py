@@ -1,4 +1,4 @@
-"""``solimon replay``: a stored test judged with other settings, and what that changes."""
+"""``solimon replay``: reassess a stored test with other settings and list the changes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from daq_service.assessment.baseline_lifecycle import planned
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.cli.offline.evidence.changes import (
+    ASSESSED,
     EXTRACTED,
-    JUDGED,
     AlarmChanges,
     Difference,
     Onset,
@@ -44,7 +44,7 @@ from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE
 
 PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
-"""Columns that are told first: what becomes of a set, before the numbers behind it."""
+"""Columns that are listed first: the result of a set, before its numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class NotAssessed:
     last_set
         The position's last one.
     told
-        The same in words, with what to do.
+         Message with the remedy.
     """
 
     position: str
@@ -70,12 +70,12 @@ class NotAssessed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replayed:
-    """What other settings make of a test.
+    """Result of a reassessment with other settings.
 
     Attributes
     ----------
     extractor_version
-        Of the features that were judged.
+        Extractor of the assessed features.
     """
 
     experiment: str
@@ -97,7 +97,7 @@ def run_replay(
     workers: int | None,
     as_json: bool,
 ) -> None:
-    """Judge a stored test again and print what changed; the folder is only read."""
+    """Reassess a stored test and print the changes; the folder is only read."""
     if not extract and (executor or workers):
         raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
     by = None
@@ -118,19 +118,19 @@ def replayed(
     extract_by: tuple[str, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Replayed:
-    """Judge a stored test with some settings changed, and compare with what is stored.
+    """Reassess a stored test with changed settings, and compare with the stored results.
 
     Parameters
     ----------
     given
-        ``KEY=VALUE`` each; without any the test is judged as it was.
+        ``KEY=VALUE`` each; without any the test's own settings are used.
     extract_by
         Executor and number of workers that take the features from the waveforms again; None: the stored ones.
 
     Raises
     ------
     UsageError
-        A setting does not judge or is refused, or stored features are of several extractors.
+        A setting is invalid or does not concern the assessment, or stored features differ in extractor.
     StorageError
         There is no test, or a set of it cannot be read.
     """
@@ -173,30 +173,33 @@ def replayed(
             ],
             alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
             differences=differences(
-                (*EXTRACTED, *JUDGED) if extract_by else JUDGED, stored, again, up_to_set=last
+                (*EXTRACTED, *ASSESSED) if extract_by else ASSESSED, stored, again, up_to_set=last
             ),
         )
 
 
-def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Tell that no set of a position lies behind its baseline: no alarm says so."""
-    found = again.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
+def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
+    """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
+    found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
-    its, last_set = planned(position, settings, again.baseline(position)), max(found["set_index"])
+    sets, last_set = (
+        planned(position, settings, recomputed.baseline(position)),
+        max(found["set_index"]),
+    )
     yield NotAssessed(
         position=position,
-        first_set_index=its.first_set,
-        last_set_index=its.last_set,
+        first_set_index=sets.first_set,
+        last_set_index=sets.last_set,
         last_set=last_set,
         told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
-        f"{its.first_set} to {its.last_set} the baseline, and the last one there is set {last_set}; "
+        f"{sets.first_set} to {sets.last_set} the baseline, and the last one there is set {last_set}; "
         "give fewer hours",
     )
 
 
 def _one_extractor(versions: Iterable[str]) -> str:
-    """Refuse features that were extracted in different ways: they are different quantities."""
+    """Raise an error for features of different extractors, which are different quantities."""
     found = sorted(set(versions))
     if len(found) > 1:
         raise UsageError(
@@ -207,10 +210,10 @@ def _one_extractor(versions: Iterable[str]) -> str:
 
 
 def in_words(found: Replayed) -> Iterable[str]:
-    """Say it in lines."""
+    """Yield the lines of the result."""
     source = "from the waveforms" if found.extracted else "as stored"
-    told = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
-    yield f"{found.experiment}: {found.sets} sets judged again with {told or 'the same settings'}"
+    settings_text = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
+    yield f"{found.experiment}: {found.sets} sets judged again with {settings_text or 'the same settings'}"
     yield f"features {source}, extractor {found.extractor_version}"
     alarms = found.alarms
     for one in alarms.moved:
@@ -219,23 +222,23 @@ def in_words(found: Replayed) -> Iterable[str]:
             f"moves  {one.stored.position} {one.stored.kind}: {_where(one.stored)} -> {_where(one.again)}, "
             f"{abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
         )
-    for word, some in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
-        for onset in some:
-            yield f"{word:<6} {onset.position} {onset.kind}: {_where(onset)}"
+    for change, onsets_of_change in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
+        for onset in onsets_of_change:
+            yield f"{change:<6} {onset.position} {onset.kind}: {_where(onset)}"
     for row in found.differences:
         if row.table == "baseline" and isinstance(row.stored, int | float | None):
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
-    for unjudged in found.not_assessed:
-        yield unjudged.told
+    for position in found.not_assessed:
+        yield position.told
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 
 
 def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
-    """Say in how many sets each column of their rows differs, a line a position; `--json` has the values.
+    """Yield the number of differing sets per column, one line per position; `--json` has the values.
 
-    Of a column of named values the name that differs in most sets stands for all.
+    A column of named values is represented by the name that differs in most sets.
     """
     by_place: dict[tuple[str, str], dict[str, Difference]] = {}
     for row in found:
@@ -248,11 +251,11 @@ def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
         for name in sorted(columns, key=lambda name: (*PROCESS_EVENTS, name).index(name)):
             row = columns[name]
             alike.setdefault((row.n_rows, row.first_set_index), []).append(row.column)
-        told = [
+        parts = [
             f"{', '.join(names)} in {f'{n} sets from set {first} on' if n > 1 else f'set {first}'}"
             for (n, first), names in alike.items()
         ]
-        yield f"{table} {position}: {'; '.join(told)}"
+        yield f"{table} {position}: {'; '.join(parts)}"
 
 
 def _where(onset: Onset) -> str:

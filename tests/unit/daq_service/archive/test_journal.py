@@ -122,7 +122,7 @@ def test_segments_go_with_their_last_set(tmp_path):
     small = 3 * RECORDS[0].waveform.counts.nbytes
     sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
     with closing(FolderArchive(tmp_path)) as archive:
-        archive._kept = Journal(tmp_path, segment_bytes=small)
+        archive._journal_writer = Journal(tmp_path, segment_bytes=small)
         for record in sets:
             begun(archive, record)
             archive.store_set(record)
@@ -141,7 +141,7 @@ def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
     first, second, third = (other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3))
     small = 4 * RECORDS[0].waveform.counts.nbytes
     with closing(FolderArchive(tmp_path)) as archive:
-        archive._kept = Journal(tmp_path, segment_bytes=small)
+        archive._journal_writer = Journal(tmp_path, segment_bytes=small)
         archive.store_set(first)
         archive.begin_set(second.set_index, due_utc_ns=second.due_utc_ns, started_utc_ns=1, retired={})
         for item in second.records[:-1]:
@@ -227,7 +227,7 @@ def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monke
 def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_path, monkeypatch):
     for index in (SET_INDEX, SET_INDEX + 1):
         archive.store_set(other_set(make_set(), index))
-        archive._kept._abandon()
+        archive._journal_writer._abandon()
     with monkeypatch.context() as patch:
         patch.setattr(writer, "remove_quietly", lambda path: None)
         archive.settle(SET_INDEX)

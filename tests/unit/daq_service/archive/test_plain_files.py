@@ -15,7 +15,7 @@ from daq_service.archive.consolidated import blocks_of
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import read_file
 from daq_service.archive.verification import check_file
-from daq_service.cli.offline.record_file import Told, open_records
+from daq_service.cli.offline.record_file import FileParameters, open_records
 from daq_service.errors import UsageError
 
 COLUMN = "shots/utc_ns"
@@ -147,7 +147,7 @@ def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
     with pytest.raises(CorruptArchiveError, match=told):
         blocks_of(path.parent, path.name)
     with pytest.raises(UsageError, match=told):
-        open_records(path, Told())
+        open_records(path, FileParameters())
     assert any(told.search(str(damage)) for damage in check_file(path).damages)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -163,7 +163,7 @@ def test_a_link_in_a_data_folder_is_refused(path):
         read_file(link)
     assert "it is a link" in str(check_file(link).damages[0])
     # A person who names a link to a command means the file behind it.
-    assert open_records(link, Told()).n == len(make_set().shots)
+    assert open_records(link, FileParameters()).n == len(make_set().shots)
 
 
 def test_a_file_too_large_for_memory_is_not_read(path):
@@ -172,4 +172,4 @@ def test_a_file_too_large_for_memory_is_not_read(path):
     with pytest.raises(CorruptArchiveError, match="too large"):
         read_file(path)
     with pytest.raises(UsageError, match="too large"):
-        open_records(path, Told())
+        open_records(path, FileParameters())

@@ -128,7 +128,7 @@ def journal(tmp_path):
     return tmp_path
 
 
-def parsed_line(folder):
+def parse_line(folder):
     """Everything that a start would take from the journal."""
     found = read_journal(folder)
     return {
@@ -146,7 +146,7 @@ def test_a_journal_as_it_was_written_is_clean(journal):
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
 def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers):
     path = segment_path(journal, 1)
-    content, before = path.read_bytes(), parsed_line(journal)
+    content, before = path.read_bytes(), parse_line(journal)
     used = len(content.rstrip(b"\0"))
     whole = [*(frame.end for frame in frame_format.frames(content))]
     for number in numbers:
@@ -160,7 +160,7 @@ def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers)
             # It ends early, as after a crash: what is left is read, and no value is another one.
             assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
         else:
-            assert found.damages or parsed_line(journal) == before, number
+            assert found.damages or parse_line(journal) == before, number
         assert all(file == "journal/000001.journal" for file, _ in found.damages)
 
 

@@ -10,9 +10,9 @@ from support.archived_sets import make_set, make_shot, other_set
 from support.memory_archive import MemoryArchive
 
 from daq_service.archive import PositionRecord
-from daq_service.archive.waterfall.cells import anchors_of, frame_of, of_record
+from daq_service.archive.waterfall.cells import anchors_of, frame_of, planes_of_record
 from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
-from daq_service.archive.waterfall.tile_files import keep_set, tiles_of
+from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_set
 from daq_service.archive.waterfall.tiles import LEVELS, TILES_FOLDER, n_bytes
 
 N_SETS = 70
@@ -68,7 +68,7 @@ class Stored:
 
     def keep(self, folder, indices=None, experiment=EXPERIMENT):
         for index in self.files if indices is None else indices:
-            keep_set(folder, experiment, self.records[index], self._anchors[index])
+            write_tiles_of_set(folder, experiment, self.records[index], self._anchors[index])
 
     def expected(self, tiles, frame, first, last, row_sets=1):
         """Rows straight from the records, by the cells of the frame."""
@@ -78,7 +78,7 @@ class Stored:
                 anchor = 0.0 if tiles.alignment == "trigger" else self._anchors[index][shot.sequence]
                 # In cells of one sample, whose extremes are taken afterwards.
                 finest = tiles.frame.part(None, None, 1)
-                row = of_record(shot.waveform, anchor, finest)
+                row = planes_of_record(shot.waveform, anchor, finest)
                 rows.setdefault(index // row_sets, []).append(coarsest(row, finest, frame))
         return [
             np.stack([np.fmin.reduce([r[0] for r in its]), np.fmax.reduce([r[1] for r in its])])
@@ -126,7 +126,7 @@ def drawn(stored, tiles, wanted, reader=None):
     """Ask until everything was read."""
     reader = reader or WaterfallReader(stored)
     for _ in range(N_SETS):
-        picture = reader.picture(tiles, stored, wanted)
+        picture = reader.figure_of_sets(tiles, stored, wanted)
         if picture.pending == 0:
             return picture
     raise AssertionError("a picture that never gets ready")
@@ -171,7 +171,7 @@ def test_of_few_sets_samples_are_seen_though_tiles_are_coarser(tmp_path):
 @pytest.mark.parametrize("columns", [2, 7, 1000])
 def test_a_single_sample_is_seen_at_every_level(copied, stored, tiles, rows, columns):
     reader = WaterfallReader(stored)
-    picture = reader.picture(tiles("first"), stored, replace(ALL, rows=rows, columns=columns))
+    picture = reader.figure_of_sets(tiles("first"), stored, replace(ALL, rows=rows, columns=columns))
     spike = np.float32(stored.records[SPIKED].shots[1].waveform.volts()[222])
     (its,) = [row for row in picture.rows if row.first_set <= SPIKED <= row.last_set]
     assert np.nanmax(its.planes) == spike
@@ -273,7 +273,7 @@ def test_in_whatever_order_sets_are_kept_the_tiles_are_the_same(kept, tmp_path, 
 
 def test_without_tiles_a_picture_grows_from_the_records_in_bounded_steps(stored, tiles):
     reader, before = WaterfallReader(stored), stored.n_read
-    first = reader.picture(tiles("trigger"), stored, ALL)
+    first = reader.figure_of_sets(tiles("trigger"), stored, ALL)
     assert stored.n_read == before + SETS_AT_ONCE
     assert (len(first.rows), first.pending) == (SETS_AT_ONCE, len(stored.files) - SETS_AT_ONCE)
     whole = drawn(stored, tiles("trigger"), ALL, reader)
@@ -284,13 +284,13 @@ def test_without_tiles_a_picture_grows_from_the_records_in_bounded_steps(stored,
 def test_records_that_are_gone_are_named(stored, tiles):
     its = Stored()
     its.files[3] = its.files[3].replace("set_", "gone_")
-    picture = WaterfallReader(its).picture(tiles("trigger"), its, replace(ALL, first=2, last=4))
+    picture = WaterfallReader(its).figure_of_sets(tiles("trigger"), its, replace(ALL, first=2, last=4))
     assert ([row.first_set for row in picture.rows], picture.unreadable) == ([2, 4], [3])
 
 
 def test_a_set_without_a_pulse_has_an_empty_row_and_does_not_spoil_those_above(tmp_path, stored, tiles):
     stored.keep(tmp_path, indices=[0, 1, 2])
-    keep_set(tmp_path, EXPERIMENT, stored.records[3], anchors_of({}))
+    write_tiles_of_set(tmp_path, EXPERIMENT, stored.records[3], anchors_of({}))
     aligned = tiles("first")
     assert np.isnan(aligned.row(0, 3).planes).all()
     assert aligned.row(1, 0).n_sets == 4
@@ -307,7 +307,7 @@ def test_the_mean_over_the_baseline_is_that_of_its_extremes(tmp_path, stored, ti
     np.testing.assert_array_equal(mean[:, cell], by_hand.astype(np.float32))
     assert (n_sets, n_pending) == (3, 0)
     wanted = replace(ALL, last=2, columns=40)
-    less = reader.picture(its, stored, wanted, mean)
+    less = reader.figure_of_sets(its, stored, wanted, mean)
     by_hand = [coarsest(row - mean, its.frame, less.frame) for row in rows]
     for row, planes in zip(less.rows, by_hand, strict=True):
         np.testing.assert_array_equal(row.planes, planes)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daq_service.assessment.position_status import interval_at, status_of
-from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, SetRow
 from daq_service.settings.tree import Settings
 
@@ -69,7 +69,7 @@ def judged(outlier):
 )
 def test_word_for_a_position(last_set, assessment, alarms, word):
     method = SET.method if last_set is None else last_set.method
-    last = LastWord(
+    last = LatestRows(
         position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms
     )
     assert status_of(last) == word

@@ -14,7 +14,7 @@ from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.archive import FolderArchive
-from daq_service.archive.waterfall.cells import anchors_of, of_set
+from daq_service.archive.waterfall.cells import anchors_of, planes_of_set
 from daq_service.archive.waterfall.tile_files import tiles_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.results_in_file import results_in
@@ -67,7 +67,7 @@ class Line:
         return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
 
     def kept(self):
-        return [index for index in self.files if self.tiles().is_kept(index)]
+        return [index for index in self.files if self.tiles().has_set(index)]
 
     def work(self, free_s=0.0):
         """Have one turn done, and taken back."""
@@ -89,7 +89,7 @@ def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
         tiles = line.tiles(position, alignment)
         record = line.records[SET_INDEX]
-        expected = of_set(record, position, alignment, anchors_of(RESULTS), tiles.frame)
+        expected = planes_of_set(record, position, alignment, anchors_of(RESULTS), tiles.frame)
         np.testing.assert_array_equal(tiles.row(0, SET_INDEX).planes, expected)
 
 
@@ -178,7 +178,7 @@ def test_rebuild_makes_the_tiles_of_an_older_folder(older):
             anchors = anchors_of(results_in(catalogue, record.set_index))
             for place in {taken.key.position for taken in record.records}:
                 tiles = tiles_of(older.folder, name, record, place, "first")
-                expected = of_set(record, place, "first", anchors, tiles.frame)
+                expected = planes_of_set(record, place, "first", anchors, tiles.frame)
                 np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
 
 

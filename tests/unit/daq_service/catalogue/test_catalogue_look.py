@@ -6,12 +6,12 @@ from contextlib import ExitStack
 from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.verification import CatalogueLook
+from daq_service.catalogue.verification import UnchangedCatalogue
 
 
 def test_a_recorder_that_starts_while_rows_are_read_is_no_damage(tmp_path):
     new_catalogue(tmp_path).close()
-    with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
+    with ExitStack() as recorder, UnchangedCatalogue(tmp_path) as look:
 
         class Changed:
             """What was opened as a file that does not change."""

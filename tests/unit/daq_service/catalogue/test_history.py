@@ -9,7 +9,7 @@ from support.new_experiment import new_catalogue, tell
 from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.history import HistoryFollower, line_of, parsed, read_history
+from daq_service.catalogue.history import HistoryFollower, line_of, parse_lines, read_history
 from daq_service.catalogue.rows import CommandRow, EventRow, SetRow
 
 
@@ -44,7 +44,7 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
     catalogue.set_digest(0, "sets/a.h5", "ab" * 32)
-    follower.filed("sets/a.h5", "ab" * 32)
+    follower.note_digest("sets/a.h5", "ab" * 32)
     follower.follow()
     follower.follow()
     history = read_history(tmp_path)
@@ -90,7 +90,7 @@ def test_a_start_reads_what_the_end_of_a_long_history_tells_of_and_no_more(
     for index in range(20):
         file = stored(catalogue, index)
         catalogue.set_digest(index, file, f"{index:064d}")
-        follower.filed(file, f"{index:064d}")
+        follower.note_digest(file, f"{index:064d}")
         follower.follow()
     path = tmp_path / HISTORY_FILE
     before, asked, rows = path.read_bytes(), [], catalogue.rows
@@ -207,7 +207,7 @@ def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue,
 def test_a_history_of_another_experiment_is_refused_with_both(catalogue, follower, tmp_path):
     path = tmp_path / HISTORY_FILE
     (line,) = path.read_bytes().splitlines()
-    told = parsed(line + b"\n").experiment
+    told = parse_lines(line + b"\n").experiment
     row = {name: getattr(told, name) for name in told.__slots__}
     path.write_bytes(line_of(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
     with pytest.raises(OtherExperimentError, match=r"1970-01-01.*2001-09-09"):
@@ -235,5 +235,5 @@ def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypa
 )
 def test_only_a_last_line_that_was_being_written_is_no_damage(last, is_damage):
     first = line_of(1, "files", {"file": "a", "file_sha256": "b"})
-    assert bool(parsed(first + last).damage) is is_damage
-    assert parsed(first + last + line_of(3, "files", {"file": "c", "file_sha256": "d"})).damage
+    assert bool(parse_lines(first + last).damage) is is_damage
+    assert parse_lines(first + last + line_of(3, "files", {"file": "c", "file_sha256": "d"})).damage

@@ -7,7 +7,7 @@ import pytest
 from support.filled_folder import FilledFolder
 
 from daq_service.archive import SetReference
-from daq_service.archive.waterfall.tile_files import keep_file
+from daq_service.archive.waterfall.tile_files import write_tiles_of_file
 from daq_service.archive.waterfall.tiles import kept_cells, n_bytes, planned_bytes
 from daq_service.cli.run import report_full_disk
 from daq_service.processes import disk_policy
@@ -115,7 +115,7 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
         tight = lambda folder: (5 * GB + round(10.5 * a_set), 100 * GB)  # noqa: E731
         assert outlook(tmp_path, settings, filled.catalogue, tight).full_at_h == filled.due[15].due_h
         for path in (tmp_path / "sets").iterdir():
-            keep_file(tmp_path, "this test", SetReference(f"sets/{path.name}"), {})
+            write_tiles_of_file(tmp_path, "this test", SetReference(f"sets/{path.name}"), {})
         cells = kept_cells(tmp_path)
         assert sum(planned_bytes(n, 5) for n in cells) == n_bytes(tmp_path) > 0
         more = outlook(tmp_path, settings, filled.catalogue, usage).needed_bytes - found.needed_bytes

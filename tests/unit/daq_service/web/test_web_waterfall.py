@@ -10,7 +10,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.stored_files import read_set, set_files
 
-from daq_service.archive.waterfall.cells import accepted, anchors_of
+from daq_service.archive.waterfall.cells import accepted_records, anchors_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.baseline_lifecycle import renewed
 from daq_service.assessment.results_in_file import results_in
@@ -63,7 +63,7 @@ def by_hand(filled, position, header, index):
     rate = header["sample_rate_hz"]
     low = np.full(header["columns"], np.inf)
     high = np.full(header["columns"], -np.inf)
-    for taken in accepted(record, position):
+    for taken in accepted_records(record, position):
         wave = taken.waveform
         anchor_s = 0.0 if header["align"] == "trigger" else anchors[taken.sequence]
         # Whole samples after the anchor; a millionth of one is the rounding of seconds.

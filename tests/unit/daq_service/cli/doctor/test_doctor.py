@@ -14,7 +14,7 @@ from typing import Any, cast
 import pytest
 from support.small_experiment import run, small_settings
 
-from daq_service.cli.doctor.check import Check, exit_code, told
+from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.software import software_checks
@@ -477,7 +477,7 @@ class Found:
 def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     assert LABORATORY.daqmx is not None
     seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
-    return by_name([told(finding) for finding in seen])
+    return by_name([check_of_finding(finding) for finding in seen])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from support.niscope_rig import description, met_brain, needs_niscope, parameters
 from support.serial_rig import NO_TERMINALS, SerialRig
 
-from daq_service.cli.doctor.check import Check, exit_code, told
+from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
 from daq_service.clock import WallClock
 from hardware_drivers.kinds import Kind, Opening
 from hardware_drivers.niscope.kind import KIND as NISCOPE
@@ -20,7 +20,7 @@ on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "th
 
 
 def looked(kind: Kind[Any], parameters: Any) -> list[Check]:
-    return [told(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
+    return [check_of_finding(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
 
 
 def by_name(checks: Sequence[Check]) -> dict[str, Check]:

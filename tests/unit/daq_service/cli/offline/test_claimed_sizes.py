@@ -6,7 +6,7 @@ import tracemalloc
 import pytest
 
 from daq_service.cli.offline import table_file
-from daq_service.cli.offline.record_file import Told, open_records
+from daq_service.cli.offline.record_file import FileParameters, open_records
 from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
@@ -26,7 +26,7 @@ def test_an_array_larger_than_its_file_or_a_pickle_is_refused(tmp_path, shape, k
     _npy(path, shape, kind)
     tracemalloc.start()
     with pytest.raises(UsageError, match=r"no \.npy file"):
-        open_records(path, Told())
+        open_records(path, FileParameters())
     with pytest.raises(UsageError, match=r"no \.npy file"):
         read_table(path, features=(), baseline_rows=1, baseline_where=None)
     _, peak = tracemalloc.get_traced_memory()
