@@ -100,7 +100,7 @@ def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, s
     assert set(here) == set(items[0]), "nothing that the page has is missing"
 
 
-def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
+def test_the_baselines_of_a_position_have_their_lifecycle(of_folder, of_service):
     here, there = of_folder.baselines("B"), of_service.baselines("B")
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     assert here["name"].tolist() == ["B-baseline-1", "B-baseline-2"]
@@ -173,7 +173,7 @@ def test_what_cannot_be_says_why(asked, said, of_folder, of_service):
             asked(test)
 
 
-def test_an_empty_folder_and_a_silent_address_are_told(tmp_path, service):
+def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
     with pytest.raises(StorageError):
         client.open(tmp_path)
     with (

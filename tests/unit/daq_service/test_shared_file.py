@@ -40,7 +40,7 @@ def test_a_refusal_is_waited_out_in_growing_pauses():
     assert pauses[-1] == LONGEST_PAUSE_S
 
 
-def test_a_refusal_for_good_is_told():
+def test_a_permanent_refusal_is_raised():
     calls = Refusing(lambda: "done", 10**9)
     with pytest.raises(PermissionError, match="in use"):
         patiently(calls, patience_s=0.0, pause=lambda seconds: None)

@@ -23,7 +23,7 @@ def always() -> bool:
 
 
 @pytest.mark.parametrize("by_h", [1.0, -1.0, 400.0, -140_000.0])
-def test_a_step_moves_nothing_and_is_told_once(machine: Machine, by_h: float) -> None:
+def test_a_clock_step_does_not_move_the_test_time_and_is_reported_once(machine: Machine, by_h: float) -> None:
     clock = machine.clock()
     assert clock.wait_until(NOW_NS + NS_PER_H, always)
     machine.set_clock(by_h)
@@ -48,7 +48,7 @@ def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine: Machi
     assert clock.utc_ns() == machine.utc_ns
 
 
-def test_steps_too_small_to_be_told_add_up_to_one_that_is(machine: Machine) -> None:
+def test_small_clock_steps_accumulate_to_a_reported_one(machine: Machine) -> None:
     clock = machine.clock()
     for _ in range(4):
         machine.utc_ns += 400_000_000
@@ -121,7 +121,7 @@ def test_a_recorder_on_the_same_boot_takes_the_time_up(machine: Machine) -> None
     assert [step.step_s for step in second.steps()] == [-5 * 3600.0]
 
 
-def test_a_step_that_was_told_before_is_not_told_again(machine: Machine) -> None:
+def test_a_reported_clock_step_is_not_reported_again(machine: Machine) -> None:
     line = TimeLine(utc_ns=NOW_NS - NS_PER_H, elapsed_ns=machine.elapsed_ns, ahead_ns=NS_PER_H)
     clock = machine.clock(Before(last_utc_ns=0, line=line))
     assert clock.utc_ns() == NOW_NS - NS_PER_H

@@ -221,7 +221,7 @@ def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
     assert found[-1].stamp.utc_ns - found[0].stamp.utc_ns == round(5 * INTERVAL_S * NS_PER_S)
 
 
-def test_nobody_is_asked_for_a_repetition_where_the_connection_is_lost():
+def test_no_repetition_is_requested_after_a_lost_connection():
     asked = []
     taken(
         [ACQUIRED, LOST],
@@ -251,7 +251,7 @@ def test_a_strike_that_waits_is_not_struck_when_its_transducer_is_retired_meanwh
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 
-def test_it_ends_where_it_is_told_to():
+def test_the_set_ends_when_idle_returns_false():
     answers = iter([True, True, True, False])
     found, error, _ = taken([], idle=lambda: next(answers))
     assert error is None

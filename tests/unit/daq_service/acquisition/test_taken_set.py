@@ -64,7 +64,7 @@ def test_a_granted_repetition_is_counted_for_its_transducer_alone():
 
 
 @pytest.mark.parametrize(("features", "wanted"), [(GOOD, False), (CLIPPED, True)])
-def test_a_record_is_judged_by_its_flags(features, wanted):
+def test_a_restrike_is_requested_according_to_the_quality_flags(features, wanted):
     shot = make_shot("B", 0, 1)
     taken = taken_set(shot)
     taken.features[1] = features
@@ -100,13 +100,13 @@ def test_a_shortfall_names_what_ended_the_set_and_what_was_missed():
     assert taken_set(*silence, trouble=lost).shortfall("C", 2, STOPPED) == "board 01A2 is gone"
 
 
-def test_the_same_words_are_not_said_twice():
+def test_a_shortfall_does_not_repeat_the_error_message():
     lost = ConnectionLostError("board 01A2 is gone")
     taken = taken_set(missed("B", 0, cause=str(lost)), trouble=lost)
     assert taken.shortfall("B", 2, STOPPED) == "board 01A2 is gone"
 
 
-def test_trouble_is_told_with_its_class():
+def test_an_instrument_error_has_its_class_name():
     assert taken_set().instrument_error() == ""
     assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).instrument_error() == (
         "BusyError: owned by LabVIEW: slot 3"

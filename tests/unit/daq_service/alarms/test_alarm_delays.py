@@ -58,7 +58,7 @@ def test_a_condition_holds_for_the_on_delay_before_the_alarm_is_raised():
     assert alarm.since_ns is None
 
 
-def test_a_condition_that_goes_in_between_begins_its_on_delay_anew():
+def test_a_condition_that_clears_in_between_restarts_its_on_delay():
     alarm = Alarm(on_delay_s=60.0).tell(0, True).tell(30, False).tell(40, True).tell(99, True)
     assert alarm.told == []
     assert alarm.tell(100, True).told == [(100, "alarm_raised")]

@@ -146,7 +146,7 @@ def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_na
     assert proof_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 
-def test_a_doubtful_baseline_is_told_with_what_is_compared_with_it() -> None:
+def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
     doubtful = frozen_baseline("C", readiness={"named": named})
     assert proof_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
@@ -163,7 +163,7 @@ def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
-def test_what_a_proof_lacks_is_not_said(kind: str, data: st.DataObject) -> None:
+def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
     whole = PROOFS.get(kind, PROOFS["supply_limit"])
     kept = data.draw(st.sets(st.sampled_from(sorted(whole))))
     said = evidence(kind, {name: whole[name] for name in kept})

@@ -50,7 +50,7 @@ def test_no_condition_and_no_alarm_is_no_change() -> None:
     assert update(None, condition(False), moment()) is None
 
 
-def test_a_standing_condition_is_told_once() -> None:
+def test_an_active_condition_causes_one_event() -> None:
     assert update(raised(), condition(True), moment(1)) is None
 
 
@@ -94,7 +94,7 @@ def test_what_returns_says_what_is_known_now() -> None:
 
 
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged"])
-def test_a_standing_alarm_tells_once_what_it_has_turned_out_to_be(state: AlarmState) -> None:
+def test_an_active_alarm_reports_its_diagnosis_once(state: AlarmState) -> None:
     row = replace(raised(proof={"cause": "cannot tell"}), state=state, suppressed="shelved")
     named = condition(True, message="WALL (99 %)", known="wall", proof={"cause": "wall"})
     change = update(row, named, moment(9))
@@ -127,7 +127,7 @@ def test_severity_only_rises_and_asks_for_attention() -> None:
     assert (worse.row.severity, worse.row.state) == ("critical", "unacknowledged")
 
 
-def test_nothing_to_acknowledge_is_said() -> None:
+def test_a_second_acknowledgement_is_rejected() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to acknowledge"):
         acknowledge(seen, "ann", "", moment(2))
@@ -160,7 +160,7 @@ def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
-def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(
+def test_an_alarm_is_active_while_its_condition_is_present_or_unacknowledged(
     history: list[bool],
 ) -> None:
     row: AlarmRow | None = None
@@ -192,6 +192,6 @@ def test_one_of_two_standing_is_enough() -> None:
     assert retired_positions(rows) == {"B": "retired at B"}
 
 
-def test_other_alarms_and_those_of_the_service_retire_nobody() -> None:
+def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
     rows = (standing("B", "wall_change"), standing("C", "no_data"), standing(None, "rig_unavailable"))
     assert retired_positions(rows) == {}

@@ -47,7 +47,7 @@ def stored(tmp_path):
     return store(tmp_path, make_set())
 
 
-def test_the_acknowledgement_tells_the_size_and_the_parts_of_the_time(tmp_path):
+def test_the_acknowledgement_has_the_file_size_and_the_timings(tmp_path):
     stored = FiledArchive(tmp_path).store_set(make_set())
     assert stored.n_bytes == (tmp_path / stored.file).stat().st_size
     timings = stored.timings

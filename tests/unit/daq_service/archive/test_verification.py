@@ -179,7 +179,7 @@ def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
     assert [damage.sequence for _, damage in check_journal(journal).damages] == [42, opened]
 
 
-def test_a_frame_whose_header_is_damaged_is_told_by_its_place(journal):
+def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
     """Of an open set nothing names its records."""
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
@@ -212,7 +212,7 @@ def test_a_group_that_failed_and_went_to_a_new_segment_is_no_damage(journal):
     assert check_journal(journal).damages == []
 
 
-def test_a_frame_whose_set_has_its_file_is_needed_by_nobody(journal):
+def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
     compact_set(journal, SET_INDEX)
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())

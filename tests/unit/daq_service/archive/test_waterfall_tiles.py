@@ -262,7 +262,7 @@ def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
     assert tile.read_bytes() == whole
 
 
-def test_in_whatever_order_sets_are_kept_the_tiles_are_the_same(kept, tmp_path, stored):
+def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored):
     stored.keep(tmp_path, indices=sorted(stored.files, key=lambda index: (index * 37) % N_SETS))
     paths = list(kept.rglob("*.tile"))
     assert len(paths) == 2 * (LEVELS + 1), "two at the finest level, each alignment"

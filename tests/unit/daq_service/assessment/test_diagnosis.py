@@ -167,7 +167,7 @@ def test_a_restart_knows_where_a_change_comes_from():
     assert origin_of({}, UNDETERMINED) == Origin()
 
 
-def test_what_cannot_be_told_is_an_alarm_of_the_wall():
+def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), cause=UNDETERMINED)
@@ -205,7 +205,7 @@ def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_s
     assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
 
 
-def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
+def test_a_restart_continues_from_the_stored_diagnosis_state():
     change = CHANGES[WALL]
     state, whole = run(change)
     before = State()

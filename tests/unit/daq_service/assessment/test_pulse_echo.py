@@ -74,7 +74,7 @@ def test_without_a_back_wall_there_is_a_flag_and_no_number():
 @pytest.mark.parametrize(
     ("gain", "settings"), [(1.0, {"clipped_records": 1.0}), (4.0, {"clipped_records": 16.0}), (4.0, {})]
 )
-def test_clipping_is_told_whether_the_mean_shows_it_or_only_the_instrument_does(gain, settings):
+def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings):
     made = assessor()
     assessed(made, echo_volts(6.35e-3, STRAIGHT))
     found = assessed(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)

@@ -40,7 +40,7 @@ def test_a_copy_is_like_its_rows_also_where_there_is_no_value():
     assert list(differing(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
 
 
-def test_a_value_a_row_too_few_and_one_too_many_are_told():
+def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
     copy = results(FEATURE, MEAN)
     told = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
     assert told == [

@@ -66,7 +66,7 @@ def baseline():
     return [a_set(index) for index in range(LAST + 1)]
 
 
-def test_until_its_last_set_the_baseline_is_being_recorded_and_nothing_is_judged():
+def test_sets_are_not_assessed_until_the_baseline_is_complete():
     for state, assessment in states(baseline()[:-1]):
         assert state.baseline is None
         assert assessment.in_baseline
@@ -142,7 +142,7 @@ def test_silent_sets_running_make_a_hole_and_a_gap_does_not_interrupt():
     assert after([silent[0], gap, silent[1]])[0].hole.hole
 
 
-def test_a_set_without_a_record_has_no_verdict_but_counts_as_poor():
+def test_a_set_without_a_record_has_no_assessment_but_counts_as_poor():
     state, assessment = after([a_set(0, n_taken=0, n_valid=0, flags=())])
     assert assessment is None
     assert state == State(poor_sets=1)
@@ -192,7 +192,7 @@ def test_a_set_without_a_vector_leaves_the_chart_as_it_was():
         assert after([*judged, poor])[0].memory == state.memory
 
 
-def test_what_was_judged_and_stored_is_taken_as_it_is_and_goes_on():
+def test_a_stored_assessment_is_used_without_a_new_computation():
     sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
     live = states(sets)
     state = after(baseline())[0]

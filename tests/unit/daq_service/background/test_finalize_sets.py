@@ -49,7 +49,7 @@ def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
 @pytest.mark.parametrize(
     "refusal", [OSError(28, "No space left on device"), KeyError("what nobody foresaw")], ids=repr
 )
-def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypatch, refusal):
+def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monkeypatch, refusal):
     now_s = [0.0]
     making = SetFinalizer(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
 
@@ -90,7 +90,7 @@ def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
     assert (making.waits, making.trouble) == (False, "")
 
 
-def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, tmp_path):
+def test_a_set_with_corrupt_frames_stays_in_the_journal_and_is_reported(archive, tmp_path):
     (segment,) = (tmp_path / "journal").iterdir()
     content = bytearray(segment.read_bytes())
     content[content.find(make_set().shots[0].waveform.counts.tobytes()) + 5] ^= 1

@@ -106,7 +106,7 @@ def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_t
     assert [f"sets/{name}" for name in idle.worker.files] == stored
 
 
-def test_a_sound_file_of_which_nobody_noted_the_sha256_gets_it(tmp_path, stored):
+def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     """Of an older folder's year of files none was noted; what is damaged is not blessed."""
     idle = Idle(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
@@ -184,7 +184,7 @@ def test_damage_is_an_alarm_at_the_start_and_clears_when_it_is_mended(tmp_path):
     assert second.known == {"sets/one.h5": "is missing"}
 
 
-def test_in_real_time_it_is_told_how_long_nothing_is_due(tmp_path, monkeypatch):
+def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, monkeypatch):
     monkeypatch.setattr(wall, "IDLE_INTERVAL_S", 60.0)
     settings = memory_settings(clock={"kind": "wall"})
     line, told = Line(tmp_path, settings=settings, listen_every_s=0.0), Told()

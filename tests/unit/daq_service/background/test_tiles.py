@@ -127,7 +127,7 @@ def test_a_damaged_tile_is_made_again_in_the_next_round(line):
     assert line.kept() == list(line.files)
 
 
-def test_a_folder_that_takes_no_tile_is_told_once_and_costs_nothing(line, caplog):
+def test_a_folder_that_cannot_hold_tiles_is_logged_once_and_stops_no_set(line, caplog):
     (line.folder / TILES_FOLDER).write_bytes(b"no folder")
     with caplog.at_level(logging.WARNING):
         line.file()
@@ -146,7 +146,7 @@ def test_a_full_volume_gets_no_tiles(line):
     assert not (line.folder / TILES_FOLDER).exists()
 
 
-def test_a_set_beside_the_plan_gets_no_tiles(line):
+def test_an_unscheduled_set_gets_no_tiles(line):
     record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
     assert tile_record(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()

@@ -243,7 +243,7 @@ def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
 
 
 @pytest.mark.parametrize("often", [1, 10**9])
-def test_a_catalogue_in_the_making_is_read_again_and_a_damaged_one_is_told(tmp_path, monkeypatch, often):
+def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp_path, monkeypatch, often):
     begin(tmp_path).close()
     found = iter(range(often))
 
@@ -481,7 +481,7 @@ def test_every_answer_is_ready_for_strict_json(writer, reader):
 # Verdicts of the baseline ---------------------------------------------------------------------
 
 
-def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
+def test_an_assessment_in_the_baseline_is_completed_in_its_row(writer, reader):
     writer.commit_set(
         SetCommit(assessments=[assessment_row(0, "B", True, distance_squared=None, reason="waiting")])
     )
@@ -502,7 +502,7 @@ def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
     ]
 
 
-def test_a_verdict_after_the_baseline_is_final(writer, reader):
+def test_an_assessment_after_the_baseline_is_final(writer, reader):
     writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
     for in_baseline in (False, True):
         with pytest.raises(CatalogueConflictError):
@@ -510,14 +510,14 @@ def test_a_verdict_after_the_baseline_is_final(writer, reader):
     assert reader.rows(AssessmentRow, position="B")[0].outlier is True
 
 
-def test_a_judged_set_does_not_leave_the_baseline(writer, reader):
+def test_an_assessed_set_does_not_leave_the_baseline(writer, reader):
     writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", True)]))
     with pytest.raises(CatalogueConflictError):
         writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
     assert reader.rows(AssessmentRow, position="B")[0].in_baseline is True
 
 
-def test_a_verdict_may_name_the_baseline_of_the_same_commit(writer, reader):
+def test_an_assessment_may_refer_to_the_baseline_of_the_same_commit(writer, reader):
     row = replace(baseline_row(), id=17)
     committed = writer.commit_set(
         SetCommit(baselines=[row], assessments=[assessment_row(0, "B", baseline_id=17)])
@@ -767,7 +767,7 @@ def test_the_state_of_a_position_is_its_last_word(writer, filled):
     assert state["C"].active_alarms == []
 
 
-def test_counts_tell_due_times_that_were_taken_missed_or_lack_something(writer, filled):
+def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
     writer.commit_set(SetCommit(sets=[set_row(6, p, "missed", 0) for p in "ABC"], alarms=[alarm_row()]))
     writer.commit_set(
         SetCommit(
@@ -887,7 +887,7 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
     assert writer.committed_sets() == {0, 1}
 
 
-def test_a_writer_that_sqlite_lets_only_read_is_connected_anew(tmp_path, monkeypatch):
+def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):
     """One refused open, and SQLite opens the file for reading without a word: nothing would be stored."""
     begin(tmp_path).close()
     connect, refused = sqlite3.connect, []

@@ -45,7 +45,7 @@ def test_it_is_read_as_it_was_written_and_layout_does_not_matter(row, tmp_path):
 @pytest.mark.parametrize(
     "damaged", [lambda content: content.replace(b"1000000000", b"1000000001"), lambda content: content[:-40]]
 )
-def test_a_changed_value_is_told_and_a_catalogue_writes_it_again(row, tmp_path, damaged):
+def test_a_changed_value_is_rejected_and_the_catalogue_writes_the_file_again(row, tmp_path, damaged):
     write_experiment(tmp_path, row)
     path = tmp_path / EXPERIMENT_FILE
     path.write_bytes(damaged(path.read_bytes()))

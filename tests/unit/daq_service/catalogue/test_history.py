@@ -84,9 +84,7 @@ def test_a_digest_whose_line_a_crash_kept_back_comes_with_the_next_start(catalog
         assert read_history(tmp_path).last_number == 1 + 3 + 3
 
 
-def test_a_start_reads_what_the_end_of_a_long_history_tells_of_and_no_more(
-    catalogue, follower, tmp_path, monkeypatch
-):
+def test_a_start_reads_only_the_end_of_a_long_history(catalogue, follower, tmp_path, monkeypatch):
     for index in range(20):
         file = stored(catalogue, index)
         catalogue.set_digest(index, file, f"{index:064d}")
@@ -163,7 +161,7 @@ def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_
         (lambda lines: lines[1:], set()),
     ],
 )
-def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
+def test_a_corrupt_or_missing_line_is_reported_and_the_others_are_read(
     catalogue, follower, tmp_path, damaged, lacking
 ):
     tell(catalogue, "one", "two", "three")
@@ -194,7 +192,7 @@ def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tm
     assert sum("behind the catalogue" in record.message for record in caplog.records) == 1
 
 
-def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue, follower, tmp_path):
+def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue, follower, tmp_path):
     tell(catalogue, "one")
     follower.follow()
     with (tmp_path / HISTORY_FILE).open("ab") as file:

@@ -227,7 +227,7 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
 
 @pytest.mark.parametrize("kind", [SetRow, FeatureRow, AssessmentRow])
 @pytest.mark.parametrize("ended", [{"last_h": 1.0}, {"last_set": 1}])
-def test_a_range_s_end_ends_the_search_beside_that_of_the_plan(tmp_path, kind, ended):
+def test_the_end_of_a_range_limits_a_search_by_purpose(tmp_path, kind, ended):
     with random_catalogue(tmp_path, 0) as catalogue:
         steps = []
 

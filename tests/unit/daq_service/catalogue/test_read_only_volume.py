@@ -11,7 +11,7 @@ from daq_service.catalogue.connection import FILE_NAME, _cannot_change
 
 
 @pytest.mark.skipif(not hasattr(os, "statvfs"), reason="Windows tells no such thing")
-def test_a_catalogue_on_a_read_only_volume_is_read_without_a_file_beside_it(tmp_path, monkeypatch):
+def test_a_catalogue_on_a_read_only_volume_is_read_without_a_second_file(tmp_path, monkeypatch):
     new_catalogue(tmp_path).close()
     told = os.statvfs(tmp_path)
     read_only = SimpleNamespace(f_flag=told.f_flag | os.ST_RDONLY)

@@ -153,7 +153,7 @@ def test_fits_are_those_of_all_rows(tmp_path):
         assert trend_part(catalogue, "B", "tof_pp_s", first_h=900.0, last_h=None)["n"] == 0
 
 
-def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
+def test_blocks_depend_on_the_rows_alone_and_a_wrong_one_is_reported(tmp_path):
     catalogue, _ = random_sets(tmp_path, 1)
     with catalogue:
         with writing(catalogue._engine) as connection:

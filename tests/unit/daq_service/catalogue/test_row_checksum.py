@@ -67,7 +67,7 @@ def test_what_sql_makes_of_a_value_is_no_damage(folder):
         (ExperimentRow, "UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1", 1),
     ],
 )
-def test_a_changed_value_is_told_and_never_read(folder, kind, statement, row_id):
+def test_a_changed_value_is_reported_and_never_read(folder, kind, statement, row_id):
     change(folder, statement)
     (damage,) = catalogue_corruption(folder)
     assert (damage.table, damage.row_id) == (statement.split()[1], row_id)
@@ -111,7 +111,7 @@ def test_changed_rows_get_their_checksum_again(folder):
     assert list(catalogue_corruption(folder)) == []
 
 
-def test_a_row_without_what_it_refers_to_is_told(folder):
+def test_a_row_with_a_missing_reference_is_reported(folder):
     row = ThicknessRow(
         set_index=3, position="A", sequence=5, due_h=2.0, extractor_version="1", quality="bad", id=1
     )

@@ -105,7 +105,7 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
             assert model.model_fields[column.name].description == column.told
 
 
-def test_an_event_tells_a_row_without_an_id_that_is_not_given_out():
+def test_an_event_payload_omits_an_id_that_is_not_assigned():
     row = example(rows.AlarmRow)
     assert payload_of(row) == rows.values(row)
     assert list(payload_of(row, last="id"))[-1] == "id"

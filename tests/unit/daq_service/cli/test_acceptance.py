@@ -120,7 +120,7 @@ def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
     assert numbers(made)["longest_gap_h"] == 1.5
 
 
-def test_what_a_set_lacks_and_what_failed_is_told_by_kind(faulty):
+def test_shortfalls_and_faults_are_listed_by_kind(faulty):
     made = made_of(faulty)
     lacking = {(state, positions): told for state, positions, *told in rows(made, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
@@ -249,7 +249,7 @@ def test_delays_are_quantiles_of_start_less_due(real):
     assert found["set_duration_max_s"] == pytest.approx(39.99, abs=1e-9)
 
 
-def test_steps_and_doubts_of_the_clock_are_told_and_judged(real):
+def test_clock_steps_are_listed_and_assessed(real):
     step = {"step_s": -90.0, "ahead_s": -90.0}
     real.say("clock_step", real.due[1].due_utc_ns, **step)
     made = made_of(real.folder)
@@ -322,7 +322,7 @@ def test_few_readings_decide_nothing_and_none_are_not_kept(evidence):
     assert "does not tell" in grown(evidence, [None] * 40).missing
 
 
-def test_readings_of_a_real_run_are_told(faulty):
+def test_readings_of_a_real_run_are_reported(faulty):
     found = numbers(made_of(faulty))
     assert found["free_bytes_min"] == 3 * 10**9
     assert found["files_read_again"] == 2
@@ -366,7 +366,7 @@ def test_a_limit_is_kept_by_a_whole_interval(found, state):
     assert [item.state for item in compared([below], {"x": mirrored})] == [state]
 
 
-def test_the_verdict_is_that_of_the_worst_that_was_asked_for():
+def test_the_outcome_is_that_of_the_worst_criterion():
     criteria = [Criterion(quantity=name, sense="at most", limit=1.0) for name in "ab"]
     fine, bad, open_ = number(1.0), number(2.0), number(None, missing="?")
     assert outcome(compared(criteria, {"a": fine, "b": fine})) == "pass"
@@ -392,7 +392,7 @@ def test_a_limit_that_is_none_is_refused(text):
         with_limits([text])
 
 
-def test_the_how_to_tells_every_limit():
+def test_the_how_to_lists_every_limit():
     told = {}
     for line in HOW_TO.read_text(encoding="utf-8").splitlines():
         if found := re.match(r"\| (`.*`) \| (at (?:least|most)) ([\d.,]+) \|", line):
@@ -429,7 +429,7 @@ def recorded(tmp_path_factory):
     return lay_out(tmp_path_factory.mktemp("recorded") / "data")
 
 
-def test_the_page_stands_alone_and_tells_everything(recorded, tmp_path):
+def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     page, file = tmp_path / "c.html", tmp_path / "c.json"
     code, printed = certify("--data-dir", recorded, "--html", page, "--json", file, "--verify")
     told = json.loads(file.read_bytes())
@@ -488,7 +488,7 @@ def test_a_test_that_keeps_every_limit_passes_with_exit_code_0(recorded):
     assert (code, printed.splitlines()[-1]) == (0, "verdict: pass")
 
 
-def test_damage_that_verify_finds_is_told_and_fails(tmp_path):
+def test_corruption_found_by_verify_fails_the_report(tmp_path):
     folder = lay_out(tmp_path / "data")
     victim = sorted((folder / "sets").glob("*.h5"))[1]
     content = bytearray(victim.read_bytes())
@@ -521,7 +521,7 @@ def test_an_older_folder_is_certified_as_far_as_it_goes_and_stays_as_it_is(tmp_p
         assert "not kept by the solimon that recorded" in told["quantities"][name]["missing"]
 
 
-def test_a_damaged_catalogue_is_told_by_its_own_name(tmp_path):
+def test_a_corrupt_catalogue_is_reported_with_its_path(tmp_path):
     folder = lay_out(tmp_path / "data")
     with sqlite3.connect(folder / "catalogue.sqlite") as database:
         database.execute("UPDATE sets SET n_valid = n_valid + 1 WHERE id = 2")

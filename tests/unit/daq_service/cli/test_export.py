@@ -142,7 +142,7 @@ def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_pa
         )
 
 
-def test_missing_and_damaged_files_are_left_out_and_told(folder, tmp_path):
+def test_missing_and_corrupt_files_are_left_out_and_listed(folder, tmp_path):
     files = set_files(folder)
     files[0].unlink()
     files[2].write_bytes(files[2].read_bytes()[:3000])
@@ -195,7 +195,7 @@ def test_what_cannot_be_meant_is_refused_with_code_2(folder, tmp_path, place):
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
-def test_a_file_is_replaced_only_when_told_and_only_as_a_whole(folder, tmp_path, monkeypatch):
+def test_a_file_is_replaced_only_with_overwrite_and_only_completely(folder, tmp_path, monkeypatch):
     target = tmp_path / "all.h5"
     target.write_bytes(b"kept")
     with pytest.raises(UsageError, match="--overwrite"):

@@ -28,7 +28,7 @@ from daq_service.processes.supervisor import FINAL_CODES
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, raised, code, words):
+def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_path, raised, code, words):
     def fail(folder, settings):
         raise raised
 
@@ -110,7 +110,7 @@ def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
     assert given == (["hands in the rig"] if asked else ["door"] if "door" in words else [""])
 
 
-def test_a_renewal_without_a_reason_is_told_which_option_gives_it(tmp_path: Path) -> None:
+def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path: Path) -> None:
     done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 2
     assert "--reason 'the sensor was coupled anew'" in done.stderr
@@ -122,7 +122,7 @@ def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> No
     assert "no data yet" in done.stderr
 
 
-def test_a_web_service_of_a_test_that_has_begun_waits_for_its_folder(tmp_path: Path) -> None:
+def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
     """Its supervisor started it again: the disk may come back."""
     folder = tmp_path / "data"
     again = ("--restart-reason", "crashed")
@@ -172,7 +172,7 @@ def test_the_first_words_of_the_demo_come_before_anything_is_imported() -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_is_told_how_to_complete(shell: str) -> None:
+def test_each_shell_gets_its_completion_script(shell: str) -> None:
     done = solimon_here("completion", shell, env={})
     assert done.returncode == 0
     assert f"_SOLIMON_COMPLETE={shell}_complete" in done.stdout

@@ -321,14 +321,14 @@ def one_damaged_catalogue(folder, number):
     [range(8), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(8, 1008, 100))],
     ids=str,
 )
-def test_a_damaged_catalogue_is_named_or_says_what_it_said(tmp_path, numbers):
+def test_a_corrupt_catalogue_is_reported_or_reads_unchanged(tmp_path, numbers):
     assert sum(one_damaged_catalogue(tmp_path / "data", number) for number in numbers) > 0
 
 
 # Beside a recorder ---------------------------------------------------------------------------------
 
 
-def test_beside_a_running_test_nothing_is_taken_for_damage(tmp_path):
+def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
     """Looked at and copied between the strikes of every set, while sets move from the journal to files."""
     settings = small_settings(schedule={**SMALL["schedule"], "end_h": 2.0})
     data, copy, looked = tmp_path / "data", tmp_path / "copy", []
@@ -356,7 +356,7 @@ def test_verify_never_takes_the_recorders_lock_and_gives_way(folder, monkeypatch
     assert len(given) == 1
 
 
-def test_repair_does_nothing_beside_a_recorder(folder, monkeypatch):
+def test_repair_does_nothing_while_a_recorder_runs(folder, monkeypatch):
     def owned(_folder):
         raise BusyError("another recorder owns it")
 
@@ -585,7 +585,7 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
 # What is gone is told without reading ---------------------------------------------------------------
 
 
-def test_lost_and_emptied_sets_are_told_by_status(folder):
+def test_status_lists_missing_and_empty_sets(folder):
     with open_catalogue(folder) as catalogue:
         assert lost_sets(folder, catalogue) == {}
         (folder / FILES[0]).write_bytes(b"")
@@ -598,7 +598,7 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
 
 
 @pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])
-def test_a_lost_catalogue_is_told_by_status_and_by_the_web_service(folder, left):
+def test_status_and_web_service_report_a_lost_catalogue(folder, left):
     settings, _ = settings_of_folder(None, folder)
     for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
         (folder / name).unlink()

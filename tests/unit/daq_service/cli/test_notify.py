@@ -30,7 +30,7 @@ def config(tmp_path, receiver):
     return path
 
 
-def test_a_trial_is_sent_and_its_result_told(config, receiver, capsys):
+def test_a_test_message_is_sent_and_its_result_reported(config, receiver, capsys):
     assert run_test(config=config, receiver=None, as_json=False) == EXIT_OK
     assert capsys.readouterr().out == f"{'duty':<24} ok      taken (204)\n"
     assert receiver.next().message["kind"] == "test"

@@ -187,7 +187,7 @@ def test_one_command_installs_and_starts_the_units(config: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
-def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
+def test_a_recorder_notifies_its_service_manager_from_start_to_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log of later tests, too

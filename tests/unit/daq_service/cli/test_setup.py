@@ -77,7 +77,7 @@ def test_no_answer_is_the_default_and_the_default_strikes_nothing(monkeypatch):
     ]
 
 
-def test_the_end_of_a_terminal_is_told_with_the_question(monkeypatch):
+def test_the_end_of_the_input_is_reported_with_the_open_question(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(UsageError, match=r"B\.strike: Strike B.*solimon setup --help"):
         Dialogue().ask(LEAVE, str)
@@ -169,7 +169,7 @@ def test_a_page_that_is_open_hears_that_all_is_done():
     assert heard.get()
 
 
-def test_what_the_boards_refuse_is_told_on_the_page():
+def test_an_error_of_the_boards_is_shown_on_the_page():
     def refused():
         raise InstrumentError("LabVIEW holds the board; end it")
 
@@ -239,7 +239,7 @@ def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch,
 
 
 @pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are")
-def test_instruments_on_serial_lines_tell_their_names_and_nothing_is_switched(tmp_path):
+def test_serial_instruments_are_identified_and_nothing_is_switched(tmp_path):
     with SerialInstruments(tmp_path) as there:
         ports = [str(link.path) for link in (there.supply_link, there.climate_link)]
         tables, off = ask_for_others(Dialogue(), {}, *ports, asks=False)

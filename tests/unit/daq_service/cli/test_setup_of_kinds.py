@@ -58,7 +58,7 @@ def test_a_person_is_led_to_a_file_that_no_hand_edited(file, script):
     assert 'address = "usb"' in file.read_text(encoding="utf-8"), "the defaults are there to be seen"
 
 
-def test_a_level_that_does_not_fit_is_proposed_anew(file):
+def test_an_unsuitable_trigger_level_is_proposed_again(file):
     answers = "B\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
     ended = set_up(file, "--kind", "scripted-levelled", "--kind", "scripted-hammer", answers=answers)
     assert ended.exit_code == 0, ended.output

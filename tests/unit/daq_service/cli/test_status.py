@@ -72,7 +72,7 @@ def line_of(lines: list[str], word: str) -> str:
     return re.sub(r"  +", "  ", found)
 
 
-def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: FilledFolder) -> None:
+def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     lines = told(facts)
     word = facts["positions"]["B"]
@@ -99,7 +99,7 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
 
 
-def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: FilledFolder) -> None:
+def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     assert not any(line.startswith("verdict") for line in told(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
@@ -116,7 +116,7 @@ def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: Filled
     ]
 
 
-def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
+def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: FilledFolder) -> None:
     filled.add_set(SETS, stored=False, judged=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
@@ -170,7 +170,7 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
     assert [gap["set_index"] for gap in facts["gaps"]] == list(range(SETS + 14 - GAPS_A_POSITION, SETS + 14))
 
 
-def test_what_is_awaited_is_told(filled: FilledFolder) -> None:
+def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> None:
     order = filled.catalogue.add_command("ann", "retire", {"position": "C", "note": ""}, within_s=3600.0)
     expired = filled.catalogue.add_command("bob", "hold", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
@@ -186,7 +186,7 @@ def test_what_is_awaited_is_told(filled: FilledFolder) -> None:
 @pytest.mark.parametrize(
     ("level", "words"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
 )
-def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, words: str) -> None:
+def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, words: str) -> None:
     facts = describe_status(filled.folder, filled.settings)
     disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
     assert level in LEVELS
@@ -196,7 +196,7 @@ def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, word
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
 
 
-def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFolder) -> None:
+def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)["confirmations"]
     assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
     index = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
@@ -216,7 +216,7 @@ def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFo
     )
 
 
-def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
+def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None:
     promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
     short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}
     doubtful = promised | {
@@ -236,7 +236,7 @@ def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
     ]
 
 
-def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_path: Path) -> None:
+def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, judged=False)
     why = "a baseline of 14 sets; it needs 15"
@@ -256,7 +256,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_
     filled.close()
 
 
-def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:
+def test_status_shows_a_missing_file_and_a_tripped_supply(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
     lines = told({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
@@ -266,7 +266,7 @@ def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None
     assert line_of(lines, "supply") == "supply  off; tripped: a hole"
 
 
-def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: Path) -> None:
+def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     folder = lay_out(tmp_path / "data")
     settings = Settings()
     facts = describe_status(folder, settings)
@@ -287,7 +287,7 @@ def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: P
     assert its_set.file in facts["lost"]
 
 
-def test_a_position_that_has_a_part_of_a_set_is_not_told_to_have_missed_it(filled: FilledFolder) -> None:
+def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFolder) -> None:
     missed(filled, SETS, "a stop", "B", state="partial")
     missed(filled, SETS, "a stop", "C", "D")
     at = f"hour {filled.due[SETS].due_h:g}: a stop"

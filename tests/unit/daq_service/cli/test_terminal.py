@@ -62,7 +62,7 @@ def test_what_a_person_shall_do_is_one_line_each(capsys: pytest.CaptureFixture[s
     ]
 
 
-def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.CaptureFixture[str]) -> None:
+def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.tell:
         for change in ("alarm_raised", "alarm_worsened", "alarm_returned", "alarm_cleared", "alarm_reset"):
@@ -75,7 +75,7 @@ def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.Cap
     ]
 
 
-def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
+def test_of_consecutive_gaps_with_one_reason_the_first_and_the_last_are_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     log = Log()
@@ -95,7 +95,7 @@ def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
     ]
 
 
-def test_what_took_long_once_is_told_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_preparation_is_printed_with_its_duration(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.tell:
         log.after(0.0, "preparing", what="building the plates")
@@ -127,7 +127,7 @@ def test_the_line_that_is_rewritten_says_what_takes_long(capsys: pytest.CaptureF
     capsys.readouterr()
 
 
-def test_a_restart_is_told_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_restart_is_printed_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.tell:
         log.tell.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
@@ -167,7 +167,7 @@ class HeldTerminal(io.StringIO):
         return super().write(text)
 
 
-def test_a_terminal_that_is_held_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_blocked_terminal_delays_no_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     held = HeldTerminal()
     monkeypatch.setattr(sys, "stderr", held)
     log = Log()

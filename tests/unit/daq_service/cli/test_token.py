@@ -25,7 +25,7 @@ def token(tmp_path):
     return run
 
 
-def test_a_token_is_made_told_once_listed_and_revoked(token, tmp_path):
+def test_a_token_is_created_printed_once_listed_and_revoked(token, tmp_path):
     code, out, err = token("create", "ann", "--role", "operator", "--days", "2")
     text = out.strip()
     assert (code, len(text)) == (0, TEXT_LENGTH)
@@ -89,7 +89,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, t
 
 @pytest.mark.parametrize("words", [("create", "ann", "--role", "admin"), ("list",), ("revoke", "ann")])
 @pytest.mark.parametrize("damage", ["unreadable", "foreign"])
-def test_a_file_that_cannot_be_read_is_told_and_left_as_it_is(token, tmp_path, words, damage):
+def test_an_unreadable_token_file_is_reported_and_left_unchanged(token, tmp_path, words, damage):
     path = tmp_path / "tokens.json"
     if damage == "unreadable":
         path.mkdir()

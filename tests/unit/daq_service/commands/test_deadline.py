@@ -39,7 +39,7 @@ def test_it_stands_until_its_deadline_in_this_boot(
     assert as_it_stands(ORDER, found).state == ("pending" if left else "expired")
 
 
-def test_what_was_begun_does_not_expire() -> None:
+def test_a_started_command_does_not_expire() -> None:
     begun = replace(ORDER, state="started")
     assert as_it_stands(begun, 0.0) is begun
 

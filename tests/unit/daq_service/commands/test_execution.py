@@ -346,7 +346,7 @@ def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
     assert bench.listener.held == ""
 
 
-def test_a_shelf_is_told_to_be_over_by_the_recorder_while_no_set_comes(bench: Bench) -> None:
+def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> None:
     bench.obey("retire", position="C", note="coil is hot")
     (alarm_id,) = (row.id for row in bench.catalogue.rows(AlarmRow))
     assert alarm_id is not None
@@ -400,7 +400,7 @@ def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
     assert bench.obey("reinstate", position="B") == ("refused", "B is not retired")
 
 
-def test_who_retired_it_is_told_with_the_order(bench: Bench) -> None:
+def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> None:
     bench.obey("retire", position="C")
     assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})

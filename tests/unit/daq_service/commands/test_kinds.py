@@ -87,7 +87,7 @@ def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, wo
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) -> None:
+def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
     given = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = given.forbidden(facts(**OPEN, recorder="silent", recorded=False))
     assert (refusal is None) == isinstance(given, DeskOrder)
@@ -198,7 +198,7 @@ def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
         assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
 
 
-def test_nobody_s_order_switches_the_supply_on() -> None:
+def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
     web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
     with pytest.raises(ValidationError, match="author\n  Field required"):
         web.validate_python({"kind": "supply_on"})

@@ -98,7 +98,7 @@ def test_arguments_that_no_recorder_would_take_are_not_written(recorder: Recorde
     assert recorder.catalogue.open_commands() == recorder.seen == []
 
 
-def test_an_order_that_nobody_begins_in_time_expires(
+def test_a_command_that_is_not_started_in_time_expires(
     recorder: Recorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(
@@ -110,7 +110,7 @@ def test_an_order_that_nobody_begins_in_time_expires(
     assert recorder.seen == []
 
 
-def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder: Recorder) -> None:
+def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: Recorder) -> None:
     with pytest.raises(
         BusyError, match=r"began order 1 \(hold\) .* look before you give it again"
     ) as silence:
@@ -123,7 +123,7 @@ def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder
     assert silence.value.exit_code == 5
 
 
-def test_an_order_that_its_recorder_died_over_is_told_as_failed(recorder: Recorder) -> None:
+def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder: Recorder) -> None:
     recorder.answer = ("failed", "the recorder ended while carrying it out")
     with pytest.raises(BusyError, match=r"order 1 \(hold\) failed: the recorder ended"):
         recorder.given("hold", note="why")
@@ -195,7 +195,7 @@ def test_a_recorder_that_lingers_or_was_started_again_listens(
     assert len(recorder.seen) == 1
 
 
-def test_a_folder_without_data_has_nobody_to_order(tmp_path: Path) -> None:
+def test_a_folder_without_data_rejects_commands(tmp_path: Path) -> None:
     with pytest.raises(NoDataYetError, match="no data yet"):
         send_command("hold", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
 

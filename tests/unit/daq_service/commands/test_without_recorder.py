@@ -129,7 +129,7 @@ acknowledge(Path(sys.argv[1]))
         ("before the history", True),
     ],
 )
-def test_whoever_is_killed_has_done_all_of_it_or_nothing(tmp_path: Path, point: str, done: bool) -> None:
+def test_a_killed_process_has_stored_all_changes_or_none(tmp_path: Path, point: str, done: bool) -> None:
     alarm_id = ended_test(tmp_path)
     tests = str(Path(__file__).parents[3])
     path = os.pathsep.join(filter(None, [tests, os.environ.get("PYTHONPATH")]))

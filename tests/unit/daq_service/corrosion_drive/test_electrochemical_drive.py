@@ -227,7 +227,7 @@ def test_the_first_reason_stays(energised):
 
 
 @pytest.mark.parametrize("author", ["", "  "])
-def test_nobody_is_no_author(energised, author):
+def test_an_empty_author_is_rejected(energised, author):
     energised.drive.trip("hole at B")
     energised.supply.calls.clear()
     with pytest.raises(ValueError, match="author"):
@@ -305,7 +305,7 @@ def test_silence_of_a_supply_that_was_found_off_trips_nothing():
 # Conditions ----------------------------------------------------------------------------------------
 
 
-def test_a_protection_that_is_not_told_is_not_ruled_out_as_the_cause(energised):
+def test_an_unreported_protection_is_named_as_a_possible_cause(energised):
     energised.supply.on = False
     energised.supply.protection_unknown = "dialect korad asks no protection"
     energised.run(60.0)

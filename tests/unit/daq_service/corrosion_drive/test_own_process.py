@@ -363,7 +363,7 @@ def test_the_age_of_the_written_state_is_reported(bench: Bench, monkeypatch: pyt
     assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
 
 
-def test_told_to_end_it_switches_off(bench: Bench) -> None:
+def test_the_process_switches_the_supply_off_when_it_ends(bench: Bench) -> None:
     bench.process.end()
     assert not bench.supply.on
     kept = read_kept(bench.folder)
@@ -391,7 +391,7 @@ def test_a_library_that_ends_the_process_does_not_leave_the_output_on(
     assert not supply.on
 
 
-def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:
+def test_the_process_reports_a_failed_switch_off_when_it_ends(bench: Bench) -> None:
     bench.supply.error = LOST
     with pytest.raises(RigError, match="may still be on; switch it off by hand") as unsafe:
         bench.process.end()
@@ -488,7 +488,7 @@ def moved(kept: Any, **changes: Any) -> Any:
     ],
     ids=["in this boot", "before the reboot", "just now"],
 )
-def test_whoever_looks_is_told_how_old_it_is(
+def test_a_reader_gets_the_age_of_the_supply_state(
     tmp_path: Path, changes: Callable[[Any], dict[str, Any]], age_s: float
 ) -> None:
     assert boot_name() is not None

@@ -146,7 +146,7 @@ def test_a_refusal_is_an_error_with_its_reason(bench: Bench) -> None:
     assert "the supply does not answer" in bench.answer(bench.remote.energise("Ada"))
 
 
-def test_where_nobody_is_a_process_is_started_and_again_ever_later(bench: Bench) -> None:
+def test_a_missing_process_is_started_with_growing_intervals(bench: Bench) -> None:
     bench.remote.tick()
     assert bench.started == 1
     bench.now_s += 10.0
@@ -411,7 +411,7 @@ def test_a_line_is_opened_with_the_key_that_sealed_it() -> None:
 @pytest.mark.parametrize(
     "said", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
 )
-def test_a_stranger_is_sent_away_and_keeps_nobody_waiting(said: bytes) -> None:
+def test_an_unauthenticated_client_is_disconnected_without_delaying_others(said: bytes) -> None:
     answered: list[Any] = []
 
     def answer(message: Any) -> Any:

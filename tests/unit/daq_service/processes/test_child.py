@@ -121,7 +121,7 @@ def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
 
 
 @pytest.mark.parametrize(("sent", "alone"), [(child.FAREWELL, False), (b"", True)])
-def test_a_child_knows_whether_its_supervisor_said_goodbye(sent, alone, monkeypatch):
+def test_a_child_detects_whether_its_supervisor_left_on_purpose(sent, alone, monkeypatch):
     answers = iter([sent])
     monkeypatch.setattr(child.os, "read", lambda pipe, count: next(answers))
     monkeypatch.setattr(child.sys, "stdin", sys.__stdin__)

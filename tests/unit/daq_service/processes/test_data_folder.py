@@ -51,7 +51,7 @@ def test_a_folder_of_documents_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_folder_that_refuses_writing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_folder_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: Path, data: bytes) -> int:
         raise OSError(30, "Read-only file system", str(self))
 
@@ -81,7 +81,7 @@ def test_what_killed_writers_left_goes_and_nothing_else(tmp_path: Path) -> None:
     assert files == set(kept)
 
 
-def test_a_folder_tells_whether_it_is_owned_however_many_ask(tmp_path: Path) -> None:
+def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path: Path) -> None:
     assert is_owned(tmp_path) is False
     with own_data_folder(tmp_path):
         assert [is_owned(tmp_path) for _ in range(3)] == [True] * 3
@@ -106,7 +106,7 @@ def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
     closing.join()
 
 
-def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) -> None:
+def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     for _ in range(2):  # gone, then an empty one in its place
         with pytest.raises(FolderGoneError, match="bring back the test"):
@@ -117,7 +117,7 @@ def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) 
     prepare_data_folder(folder, anew=False)
 
 
-def test_whoever_only_looks_is_refused_what_is_not_there_or_not_ours(tmp_path: Path) -> None:
+def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("precious")
     for name, words in {

@@ -124,7 +124,7 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
         filled.close()
 
 
-def test_a_full_volume_is_told_before_anything_waits_for_it(tmp_path, monkeypatch):
+def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
     """No alarm can be stored there: `run` and `demo` say it at once."""
     said = []
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):

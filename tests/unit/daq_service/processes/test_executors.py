@@ -30,7 +30,7 @@ def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
         assert executor.submit(math.sqrt, 4.0).result() == 2.0
 
 
-def test_what_has_not_begun_is_dropped_and_an_error_is_the_task_s_own():
+def test_pending_tasks_are_cancelled_and_an_error_belongs_to_its_task():
     with opened_executor("processes", 1) as executor:
         with pytest.raises(ValueError, match="math domain"):
             executor.submit(math.sqrt, -1.0).result()
@@ -40,7 +40,7 @@ def test_what_has_not_begun_is_dropped_and_an_error_is_the_task_s_own():
     assert {future.cancelled() or future.result() >= 0.0 for future in held} == {True}
 
 
-def test_names_of_executors_are_checked_before_anything_is_begun():
+def test_executor_names_are_checked_before_the_start():
     for name in ("processes", "threads", "dask://there", "dask://there:9000"):
         assert checked_name(name, None) == name
     for name in ("process", "dask://", "dask:there", "http://there"):
@@ -50,7 +50,7 @@ def test_names_of_executors_are_checked_before_anything_is_begun():
         checked_name("dask://there", 4)
 
 
-def test_a_cluster_that_does_not_answer_and_a_missing_extra_are_told(monkeypatch):
+def test_a_silent_cluster_and_a_missing_extra_are_reported(monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(BusyError, match="no Dask scheduler answers at tcp:"), opened_executor(NOBODY, 1):
         pass

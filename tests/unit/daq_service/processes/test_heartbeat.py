@@ -61,7 +61,7 @@ def test_no_time_is_taken_up_from_another_boot(
     assert time_now_ns(beat, boot=lambda: boot, elapsed=lambda: elapsed_ns) is None
 
 
-def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
+def test_a_beat_has_the_activity_and_its_deadline(tmp_path: Path) -> None:
     clock = FakeMonotonic()
     Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock).beat("taking set 3")
     beat = read_heartbeat(tmp_path)
@@ -71,7 +71,7 @@ def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
     assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
-def test_a_long_wait_is_told_when_it_begins_however_dear_a_beat_is(tmp_path: Path) -> None:
+def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path: Path) -> None:
     clock = FakeMonotonic()
     clock.cost_ns = NS_PER_S // 100
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -120,7 +120,7 @@ def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -
     assert 4 <= writes(cost_ns=1_000_000) <= 7
 
 
-def test_what_is_begun_after_a_wait_is_told_however_young_the_last_sign_of_life(tmp_path: Path) -> None:
+def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path: Path) -> None:
     """A call that hangs at once must be told by its name."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -145,7 +145,7 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     "text",
     ["", "{", '{"process": 1, "mono_ns": 5', "[]", "null", '{"process": 1}', '{"mono_ns": "x"}', "\x00" * 80],
 )
-def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
+def test_an_invalid_heartbeat_counts_as_none_and_is_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str
 ) -> None:
     (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
@@ -155,7 +155,7 @@ def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
     assert warning.exc_info is None
 
 
-def test_a_file_that_can_be_neither_read_nor_written_is_told_once_and_ends_nothing(
+def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / FILE_NAME).mkdir()

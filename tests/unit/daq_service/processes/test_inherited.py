@@ -59,7 +59,7 @@ def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
     assert (tmp_path / "set.h5").read_text() == "0\n", "a program that it starts has its streams, too"
 
 
-def test_the_exit_code_of_a_child_is_read_whoever_ignores_its_signal() -> None:
+def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal() -> None:
     done = started(
         "import subprocess\nchild = subprocess.run([sys.executable, '-c', 'raise SystemExit(7)'])\n"
         "sys.exit(child.returncode)",
@@ -77,7 +77,7 @@ def test_a_stop_signal_that_is_blocked_at_the_start_is_heard() -> None:
 
 
 @pytest.mark.parametrize("timer", ["ITIMER_REAL", "ITIMER_VIRTUAL", "ITIMER_PROF"])
-def test_a_timer_of_whoever_started_it_is_cancelled(timer: str) -> None:
+def test_a_timer_inherited_from_the_parent_is_cancelled(timer: str) -> None:
     """`alarm` and its kind outlive the start of another program, and would end it."""
     number = getattr(signal, timer)
     done = started(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))

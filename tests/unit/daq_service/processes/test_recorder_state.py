@@ -66,7 +66,7 @@ LATE = "last sign of life 66 s ago while waiting"
 @pytest.mark.parametrize(
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
-def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
+def test_a_recorder_state_follows_from_lock_and_heartbeat(
     owned: bool | None, found: Beat | None, word: Word, description: str, kinds: list[str]
 ) -> None:
     state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
@@ -84,7 +84,7 @@ def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
         (["recorder_stopped", "recorder_started", "set_done"], "silent", GONE),
     ],
 )
-def test_without_a_heartbeat_the_catalogue_tells_whether_anybody_ever_recorded(
+def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
     owned: bool | None, kinds: list[str], word: Word, description: str
 ) -> None:
     state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
@@ -129,7 +129,7 @@ def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
     assert [(one.word, one.listens) for one in (late, gone)] == [(word, False)] * 2
 
 
-def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
+def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
     def age(found: Beat) -> float | None:
         return recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
 
@@ -196,7 +196,7 @@ def foreign() -> str:
     "left",
     [after_a_reboot, after_a_reboot_of_an_older_version, after_a_short_boot, empty, torn, foreign],
 )
-def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Callable[[], str]) -> None:
+def test_status_commands_and_web_agree_that_no_recorder_runs(folder: Path, left: Callable[[], str]) -> None:
     if left is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(left(), encoding="utf-8")
@@ -215,7 +215,7 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     assert health["recorder"]["beat_age_s"] is None
 
 
-def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder: Path) -> None:
+def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> None:
     told = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
@@ -233,7 +233,7 @@ def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows renames no folder in which files are open")
-def test_of_a_folder_that_was_moved_away_nobody_claims_to_know_its_recorder(folder: Path) -> None:
+def test_the_recorder_of_a_moved_folder_is_silent(folder: Path) -> None:
     context = Context(Settings(), folder)
     context.catalogue()
     folder.rename(folder.with_name("elsewhere"))

@@ -149,7 +149,7 @@ def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> 
     assert len(world.started) == 2
 
 
-def test_a_recorder_that_was_told_to_stop_stays_stopped() -> None:
+def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
     """Exit code 130 is an operator's order: a restart would strike on against it."""
     world = World(Life(130))
     assert world.run() == 130
@@ -183,7 +183,7 @@ def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> Non
     assert web.stdin.closed
 
 
-def test_a_test_that_has_begun_is_served_on_whatever_ends_its_recorder() -> None:
+def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
     """An engineer wants to see why it ended; the code is passed on when the dashboard is stopped."""
     said = json.dumps({"event": "progress", "done": 1})
     recorder = Life(4, after_s=1.0, says=[said])
@@ -317,7 +317,7 @@ def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(
     assert world.causes()[1] == f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start"
 
 
-def test_children_are_told_to_leave_together_and_killed_after_their_time() -> None:
+def test_children_are_stopped_together_and_killed_after_their_time_limit() -> None:
     good, bad = Life(leaves_after_s=1.0), Life(leaves_after_s=None)
     world = World(good, bad, plans=(RECORDER, WEB), until_s=10.0)
     assert world.run(stay=True) == 0

@@ -53,7 +53,7 @@ def test_memory_that_is_written_is_counted():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows is asked in another way")
-def test_where_the_system_does_not_tell_it_is_unknown_and_not_nothing(tmp_path, monkeypatch):
+def test_values_not_provided_by_the_system_are_none(tmp_path, monkeypatch):
     monkeypatch.setattr(own_use, "_PROC", tmp_path / "not mounted")
     assert (own_use.resident_bytes(), own_use.open_handles()) == (None, None)
     before_a_look = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
@@ -65,7 +65,7 @@ def test_where_the_system_does_not_tell_it_is_unknown_and_not_nothing(tmp_path, 
     }
 
 
-def test_stages_are_told_since_the_reading_before():
+def test_stage_times_count_since_the_previous_reading():
     cost, its = Cost(), watch()
     cost.seconds["judge_s"] = 1.5
     assert its.read(cost)["stage_s"]["judge_s"] == 1.5

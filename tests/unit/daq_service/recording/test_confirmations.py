@@ -131,7 +131,7 @@ def test_a_single_odd_set_is_not_confirmed(line):
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
 
 
-def test_planned_sets_are_judged_alike_whether_or_not_anything_is_struck_between_them(whole, line):
+def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_sets(whole, line):
     without, line = line, whole
     without.settings = settings(confirmation_sets_a_day=0)
     without.run()
@@ -217,7 +217,7 @@ def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line):
     assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
-def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_rebuild(line):
+def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
     stop = threading.Event()
 
     def stopping(key):

@@ -88,7 +88,7 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     assert opener.heartbeat.stage == ""
 
 
-def test_an_alarm_that_stands_is_not_raised_again_but_told(opener: Opener) -> None:
+def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> None:
     opener.stop.set()
     assert opener.open(9) == (None, f"the recorder waited for the rig: {GONE}")
     opener.stop.clear()

@@ -84,7 +84,7 @@ def test_on_the_wall_clock_hour_0_and_the_rows_come_again(on_the_wall_clock, tmp
         assert catalogue.experiment_row().epoch_utc_ns == parse_utc("2026-01-01T00:00:00Z")
 
 
-def test_history_alone_tells_which_experiment_it_is(line):
+def test_the_history_alone_identifies_the_experiment(line):
     before, kept = table_rows(line.folder), read_experiment(line.folder)
     lose_catalogue(line.folder, EXPERIMENT_FILE)
     made_again(line)
@@ -92,7 +92,7 @@ def test_history_alone_tells_which_experiment_it_is(line):
     assert read_experiment(line.folder) == kept
 
 
-def test_a_whole_catalogue_keeps_what_nobody_can_compute_without_a_history(line):
+def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line):
     before = table_rows(line.folder)
     (line.folder / HISTORY_FILE).unlink()
     made = made_again(line)
@@ -159,7 +159,7 @@ def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_a
         assert line.rows("alarms") == before
 
 
-def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
+def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning(line):
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)
@@ -193,7 +193,7 @@ def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
     ]
 
 
-def test_a_set_without_its_file_keeps_what_was_told_of_it(line):
+def test_a_set_without_its_file_keeps_its_rows(line):
     with open_catalogue(line.folder) as catalogue:
         sets = catalogue.rows(SetRow)
         alarms = catalogue.rows(AlarmRow)
@@ -206,7 +206,7 @@ def test_a_set_without_its_file_keeps_what_was_told_of_it(line):
         assert catalogue.rows(AlarmRow) == alarms
 
 
-def test_a_file_that_is_another_one_is_told(line):
+def test_a_replaced_file_causes_a_warning(line):
     told = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
     digests = {item["row"]["file"]: item["row"]["file_sha256"] for item in told if item["table"] == "files"}
     digest = digests[f"sets/{set_files(line.folder)[1].name}"]
@@ -218,7 +218,7 @@ def test_a_file_that_is_another_one_is_told(line):
         assert catalogue.rows(SetRow, set_index=1)[0].file_sha256 == digest
 
 
-def test_results_are_computed_again_and_a_copy_that_differs_is_told(line):
+def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     before = table_rows(line.folder)
     file = set_files(line.folder)[1]
     with open_catalogue(line.folder) as catalogue:
@@ -262,7 +262,7 @@ def test_a_folder_without_a_test_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
+def test_a_catalogue_is_lost_if_a_started_test_lacks_it(line, tmp_path):
     assert not lost_catalogue(tmp_path)
     assert not lost_catalogue(line.folder)
     (line.folder / "catalogue.sqlite").write_bytes(b"")
@@ -273,7 +273,7 @@ def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
     assert lost_catalogue(line.folder)
 
 
-def test_a_set_of_another_hour_0_is_told_whatever_its_format(line):
+def test_a_set_with_another_hour_0_is_rejected_in_each_format(line):
     with open_catalogue(line.folder) as catalogue:
         experiment = catalogue.experiment_row()
     record = read_set(set_files(line.folder)[0])

@@ -127,7 +127,7 @@ def assert_same_rows(line, whole):
 @pytest.mark.parametrize(
     "error", [ArchiveWriteError("No space left on device"), OSError(24, "Too many open files")]
 )
-def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
+def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, whole, error):
     assert line.run(archive=FullDisk(line, 3, 7, error), mono_s=Seconds())
     assert_same_rows(line, whole)
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
@@ -498,7 +498,7 @@ def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
 
 
 @pytest.mark.parametrize("restarted", [False, True])
-def test_a_rig_that_has_worked_costs_sets_and_not_the_test_whatever_it_says(line, restarted):
+def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, restarted):
     broken = [ShotKey(position="C", set_index=index, shot_index=2) for index in (1, 2, 3)]
     if restarted:
         with pytest.raises(Killed):
@@ -602,7 +602,7 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
+def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
     """A set of the paper takes two minutes: nobody should wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
     archive, told = MemoryArchive(line.shelf), []
@@ -722,7 +722,7 @@ def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
     assert {tuple(shot.flags) for shot in line.rows("shots", "B")} == {("dry_run",)}
 
 
-def test_the_supervisor_is_told_what_is_begun(line):
+def test_the_heartbeat_names_each_activity(line):
     line.run()
     begun = line.heartbeat.told
     assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
@@ -756,7 +756,7 @@ def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, ti
     assert len(told(line, "self_calibrated")) == times
 
 
-def test_a_failed_self_calibration_is_told_and_ends_the_test_only_where_it_can_never_work(line):
+def test_a_failed_self_calibration_is_reported_and_ends_the_test_only_if_permanent(line):
     boards = Calibrated(BusyError("MAX holds the board"))
     line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
     assert told(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}

@@ -46,7 +46,7 @@ def test_it_is_not_approved_and_says_what_helps(line):
     assert frozen[0]["state"] == "proposed", "nobody approves what judges nothing"
 
 
-def test_its_transducer_is_told_not_to_be_judged(line):
+def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
     for told in line.seen.values():
         assert (told["state"], told["last_verdict"]["reason"]) == ("not_judged", REASON)
         assert told["baseline"]["limit_reason"] == REASON

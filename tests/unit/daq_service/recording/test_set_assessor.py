@@ -184,7 +184,7 @@ def remembered(line, monkeypatch, looks):
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
-def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, monkeypatch, seed):
+def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatch, seed):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 2},
@@ -269,7 +269,7 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
     assert {(row.position, row.kind) for row in line.alarms()} == {("C", "hole")}
 
 
-def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
+def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
         ledger.reinstated("D")
@@ -417,7 +417,7 @@ def test_every_position_has_a_row_in_every_set(line):
     )
 
 
-def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
+def test_the_rig_alarm_names_a_method_whose_instruments_do_not_respond(line):
     lost = ConnectionLostError("the probe's board is gone")
     line.script = lambda key: lost if key.position == "A" and key.set_index == 2 else healthy(key)
     line.run()
@@ -427,7 +427,7 @@ def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
     assert alarm.state == "returned_unacknowledged"
 
 
-def test_whoever_started_the_test_hears_of_gaps_and_alarms_once_they_are_stored(line):
+def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
     def hole_at_c_and_nothing_once_at_d(key):
         if (key.set_index, key.position) == (3, "D"):
             return None  # no trigger

@@ -130,7 +130,9 @@ def test_it_starves_while_the_line_hangs(manager: Manager, tmp_path: Path) -> No
     assert sum(gap_s > DEADLINE_S for gap_s in gaps_s) == 1
 
 
-def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_notification_is_sent_without_a_service_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     notify("WATCHDOG=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
@@ -138,7 +140,7 @@ def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: py
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_done_is_told_in_one_line() -> None:
+def test_the_activity_is_sent_in_one_line() -> None:
     sent: list[tuple[str, ...]] = []
     with service_manager_notifications(
         lambda event, **values: None, lambda *lines: sent.append(lines)

@@ -51,7 +51,7 @@ def told() -> list[str]:
 
 
 @pytest.mark.parametrize("gone", ["one", "other", "both"])
-def test_every_striker_is_made_safe_once_whatever_another_says(told: list[str], gone: str) -> None:
+def test_every_striker_is_made_safe_once_even_if_another_fails(told: list[str], gone: str) -> None:
     one, other = (Part(name, told, gone=gone in (name, "both")) for name in ("one", "other"))
     strikers = Strikers({"B": one, "C": other, "D": one}, Asking())
     with pytest.raises(ConnectionLostError):
@@ -90,7 +90,7 @@ def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
         digitizers.arm(key("C"))
 
 
-def test_a_position_that_nobody_serves_is_refused(told: list[str]) -> None:
+def test_a_position_without_a_striker_is_rejected(told: list[str]) -> None:
     strikers = Strikers({"B": Part("one", told)}, Asking())
     with pytest.raises(
         ConfigurationError, match=r"no striker at position 'C'; there are: B; name one in \[rig"

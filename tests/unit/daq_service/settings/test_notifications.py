@@ -27,7 +27,7 @@ def test_files_count_from_the_configuration_and_severities_are_those_of_alarms(t
     assert get_args(Severity) == SEVERITIES
 
 
-def test_who_is_told_changes_no_test(tmp_path):
+def test_receivers_do_not_change_the_configuration_hash(tmp_path):
     assert settings(tmp_path, DUTY).configuration_hash() == Settings().configuration_hash()
 
 

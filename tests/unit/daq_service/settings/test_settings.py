@@ -98,7 +98,7 @@ def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, wo
     assert refusal.value.exit_code == 2
 
 
-def test_an_inherited_mistake_is_told_once(tmp_path: Path) -> None:
+def test_an_inherited_error_is_reported_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as refusal:
         load_settings(write(tmp_path, "[chain]\nmass_kg = -1"))
     assert str(refusal.value).count("mass_kg") == 1

@@ -57,7 +57,7 @@ def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path)
     assert load_settings(file).alarms.decides_by == "k_of_n"
 
 
-def test_who_is_told_of_alarms_may_change_from_start_to_start() -> None:
+def test_the_receivers_of_alarms_may_change_between_starts() -> None:
     duty = {"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET"}
     told = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
     other = Settings(notifications={"receivers": {"night": duty}, "rules": [{"receivers": ["night"]}]})

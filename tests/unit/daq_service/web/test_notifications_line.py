@@ -41,7 +41,7 @@ def changes(message):
 # Rules
 
 
-def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
+def test_an_alarm_message_has_units_age_quality_and_guidance(made):
     bench = made()
     proof = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
     event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", proof=proof)
@@ -79,7 +79,7 @@ def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_told, ma
     assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_told else "passed"]
 
 
-def test_each_step_of_an_alarm_s_life_is_told_but_what_a_person_did(made):
+def test_each_automatic_state_change_of_an_alarm_is_sent(made):
     bench = made()
     for severity, present in (("medium", True), ("high", True), ("high", False), ("high", True)):
         bench.alarms.change(severity=severity, present=present)
@@ -89,7 +89,7 @@ def test_each_step_of_an_alarm_s_life_is_told_but_what_a_person_did(made):
     assert told == ["raised", "worse", "over", "back", "raised", "over"]
 
 
-def test_the_end_is_not_told_where_nobody_wants_it(made):
+def test_the_return_to_normal_is_not_sent_if_not_configured(made):
     bench = made(returned=False)
     bench.alarms.change()
     bench.run()
@@ -97,7 +97,7 @@ def test_the_end_is_not_told_where_nobody_wants_it(made):
     assert bench.run(5.0) == []
 
 
-def test_what_is_over_within_its_delay_is_not_told(made):
+def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(made):
     bench = made(delay_s=60.0)
     bench.alarms.change()
     assert bench.run(50.0) == []
@@ -110,7 +110,7 @@ def test_what_is_over_within_its_delay_is_not_told(made):
     assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "back")]]
 
 
-def test_a_worse_alarm_within_a_delay_loses_no_end_of_one_that_was_told(made):
+def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(made):
     bench = made(delay_s=60.0)
     bench.alarms.change(severity="medium")
     assert len(bench.run(61.0)) == 1
@@ -165,7 +165,7 @@ def test_a_restart_neither_loses_nor_repeats(made):
     assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
-def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(made):
+def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(made):
     bench = made(delay_s=60.0)
     bench.alarms.change()
     bench.run(10.0)
@@ -255,7 +255,7 @@ def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
     ahead.alarms.catalogue.close()
 
 
-def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
+def test_a_full_disk_does_not_prevent_notifications(made, monkeypatch, caplog):
     bench = made()
     monkeypatch.setattr(
         "daq_service.processes.notifications.delivery_log.append_line",
@@ -307,7 +307,7 @@ def test_a_message_that_is_refused_makes_way_for_the_others(made):
     assert line.told == "refused 5 times: the receiver answers 422"
 
 
-def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
+def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(made):
     bench = made()
     bench.outcomes += [DEAD] * 400
     bench.alarms.change()
@@ -340,7 +340,7 @@ def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(mad
 # Signs of life
 
 
-def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, monkeypatch):
+def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recorder(made, monkeypatch):
     bench = made(receiver={"heartbeat_s": 30.0})
     facts = {
         "recorder": "running",

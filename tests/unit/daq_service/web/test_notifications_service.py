@@ -73,7 +73,7 @@ def events_of(message):
     return [item["event_id"] for item in message["alarms"]]
 
 
-def test_an_alarm_is_told_with_the_quality_of_its_set_and_the_api_tells_what_became_of_it(filled, receiver):
+def test_an_alarm_is_sent_with_its_quality_and_the_api_lists_the_delivery(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         assert "begins at the present" in begun(client)
         event_id = raise_alarm(filled, "wall_change")
@@ -92,7 +92,7 @@ def test_an_alarm_is_told_with_the_quality_of_its_set_and_the_api_tells_what_bec
         assert 'solimon_notifications_waiting{receiver="duty"} 0.0' in metrics
 
 
-def test_neither_secret_nor_path_is_told_anywhere(filled, receiver, caplog):
+def test_neither_secret_nor_path_is_exposed(filled, receiver, caplog):
     caplog.set_level("DEBUG", logger="daq_service")
     receiver.answers.put((500, {}))
     with served(filled.settings, filled.folder) as service, service.client() as client:
@@ -125,7 +125,7 @@ def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver)
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
 
 
-def test_a_backup_tells_nobody(filled, receiver):
+def test_a_backup_sends_no_notifications(filled, receiver):
     """Its signs of life would hide that the test's own service is gone."""
     (filled.folder / BACKUP_FILE).write_bytes(b"{}")
     with served(filled.settings, filled.folder) as service, service.client() as client:

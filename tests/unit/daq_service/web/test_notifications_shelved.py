@@ -33,7 +33,7 @@ ROW = AlarmRow(
         ("alarm_shelved", "shelved", None),
     ],
 )
-def test_what_is_put_aside_is_told_to_nobody(kind: str, suppressed: str | None, what: str | None) -> None:
+def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:
     row = replace(ROW, suppressed=suppressed)
     event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
     news = news_of(event)

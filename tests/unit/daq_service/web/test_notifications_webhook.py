@@ -129,7 +129,7 @@ def test_the_service_s_end_cuts_an_attempt(receiver):
     assert [outcome.ok for outcome in outcomes] == [False]
 
 
-def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
+def test_an_untrusted_certificate_is_rejected(monkeypatch):
     with http_receiver(tls=TLS) as receiver:
         outcome = sent(receiver)
         assert not outcome.ok
@@ -139,7 +139,7 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
         assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
 
 
-def test_nobody_there_and_nonsense_are_outcomes():
+def test_a_refused_connection_and_an_invalid_response_are_outcomes():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).told == "Connection refused"
@@ -202,14 +202,14 @@ def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
         ),
     ],
 )
-def test_what_cannot_work_is_told_without_what_it_holds(given, held, told):
+def test_an_invalid_receiver_is_reported_without_its_secret(given, held, told):
     with pytest.raises(UsageError, match=told) as refusal:
         address_of("duty", webhook(**given), held)
     assert SECRET not in str(refusal.value)
     assert str(refusal.value).startswith("notifications.receivers.duty: ")
 
 
-def test_a_start_refuses_what_could_not_be_told(monkeypatch):
+def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
     mail = {"kind": "apprise", "url_env": "NO_SUCH_VARIABLE"}
     with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
         refuse_unusable(notifying({"mail": mail}).notifications)
@@ -221,7 +221,7 @@ def test_a_start_refuses_what_could_not_be_told(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
-def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkeypatch, caplog):
+def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, caplog):
     pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
     for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
         monkeypatch.setattr(f"apprise.{own}", pool)

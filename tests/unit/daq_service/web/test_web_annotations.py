@@ -31,7 +31,7 @@ def listed(api, query=""):
     return api.get(f"/api/v1/annotations?{query}").json()["items"]
 
 
-def test_a_note_is_listed_told_on_the_stream_and_withdrawn_without_being_erased(api):
+def test_a_note_is_listed_sent_on_the_stream_and_withdrawn_without_being_erased(api):
     answer = note(api, from_h=1.0, to_h=2.5, position="B", text=" couplant renewed ")
     assert (answer.status_code, answer.json()["kind"], answer.json()["state"]) == (202, "annotate", "done")
     (row,) = listed(api)

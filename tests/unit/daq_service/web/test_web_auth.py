@@ -181,7 +181,7 @@ def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled,
         assert api.get(DUE, headers={"Authorization": f"Bearer {text}"}).status_code == 200
 
 
-def test_a_token_is_never_told(filled, tokens, caplog):
+def test_a_token_is_never_exposed(filled, tokens, caplog):
     """Neither in an answer, nor in the log, the audit or the file of hashes; and a URL opens nothing."""
     caplog.set_level(logging.DEBUG)
     _, text = create_token(tokens, "ann", "viewer")
@@ -316,7 +316,7 @@ def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
         assert api.post("/api/v1/commands", json=HOLD, headers=origin).status_code == 403
 
 
-def test_plain_http_at_the_tls_port_gets_nothing_and_hurts_nobody(far, caplog):
+def test_plain_http_at_the_tls_port_gets_no_response_and_disturbs_no_client(far, caplog):
     _, url, text = far
     host, port = url.removeprefix("https://").split(":")
     with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as plain:
@@ -361,7 +361,7 @@ def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens
     assert [deed.source for deed in deeds(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
 
 
-def test_without_a_stated_proxy_nobody_is_believed_who_asks(filled, tokens):
+def test_forwarded_addresses_are_ignored_without_a_configured_proxy(filled, tokens):
     create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         api.get(DUE, headers={"X-Forwarded-For": "10.1.2.3", "Authorization": "Bearer x"})
@@ -499,7 +499,7 @@ def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, toke
     assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
 
 
-def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch, caplog):
+def test_a_full_audit_log_does_not_prevent_a_pause(filled, monkeypatch, caplog):
     def refuse(*_):
         raise OSError(28, os.strerror(28))
 

@@ -121,7 +121,7 @@ def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
     ]
 
 
-def test_a_shelf_ends_in_real_time_though_nobody_records(ended, monkeypatch):
+def test_a_shelf_ends_in_real_time_without_a_recorder(ended, monkeypatch):
     _, api = ended
     shelve(api, for_h=8.0)
     later_ns = time.time_ns() + 9 * NS_PER_H

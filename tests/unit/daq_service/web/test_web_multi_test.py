@@ -79,7 +79,7 @@ def test_names_that_are_taken_are_numbered():
     assert url_names(["Hole", "hole", "Hole 2", "HOLE!"]) == ["hole", "hole-2", "hole-2-2", "hole-3"]
 
 
-def test_the_list_tells_how_each_test_stands(several):
+def test_the_list_has_the_status_of_each_test(several):
     listed = several.listed()
     assert list(listed) == ["hole-nr-2", "hole-its-twin"]
     hole, twin = listed.values()
@@ -138,7 +138,7 @@ def test_a_problem_names_the_whole_path_and_an_unknown_test_the_list(several):
     assert "/tests/NAME/api/v1" in problem["hint"]
 
 
-def test_the_streams_of_a_test_tell_of_that_test_alone(several):
+def test_the_stream_of_a_test_has_only_its_own_events(several):
     with (
         several.service.client() as reader,
         reader.stream("GET", "/tests/hole-its-twin/api/v1/stream?topics=service") as stream,
@@ -208,7 +208,7 @@ def test_a_socket_of_a_test_that_is_not_there_is_refused(several):
         pass
 
 
-def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_path, several):
+def test_an_unreadable_folder_is_listed_with_its_remedy_and_disturbs_no_other(tmp_path, several):
     missing, empty, foreign = tmp_path / "missing", tmp_path / "empty", tmp_path / "foreign"
     damaged, other, refused = tmp_path / "damaged", tmp_path / "other", tmp_path / "refused.toml"
     empty.mkdir()
@@ -246,7 +246,7 @@ def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_p
     assert after == before, "nothing is made by looking"
 
 
-def test_a_test_that_begins_later_appears_under_the_name_it_was_told_with(tmp_path, monkeypatch):
+def test_a_test_that_starts_later_appears_under_its_configured_name(tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.multi_test.listing.CHANGING_S", 0.0)
     folder = tmp_path / "Plate 7"
     folder.mkdir()
@@ -338,7 +338,7 @@ def test_a_test_whose_alarms_are_sent_elsewhere_is_open_from_the_start_and_stays
     watched.close()
 
 
-def test_one_login_is_for_all_tests_and_for_nobody_else(several, tmp_path):
+def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path):
     _, viewer = create_token(tmp_path / "tokens.json", "vera", "viewer")
     _, admin = create_token(tmp_path / "tokens.json", "ada", "admin")
     app = app_of(several.hole.folder, several.twin.folder, own=tmp_path)

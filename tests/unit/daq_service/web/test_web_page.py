@@ -34,7 +34,7 @@ def without_ages(told):
     return {key: without_ages(value) for key, value in told.items() if key not in {"as_of", "age_h", "stale"}}
 
 
-def test_it_brings_what_the_api_answers_whatever_names_hold(filled):
+def test_the_page_embeds_api_responses_with_any_characters(filled):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answer = api.get("/")
         found = brought(answer.text)

@@ -174,7 +174,7 @@ def test_before_the_first_record_there_is_no_data(tmp_path):
         assert api.get("/api/v1/info").status_code == 200
 
 
-def test_damaged_catalogue_is_said_and_not_shown(tmp_path):
+def test_a_corrupt_catalogue_is_reported_and_not_shown(tmp_path):
     (tmp_path / CATALOGUE_FILE).write_bytes(b"no database at all" * 100)
     with served(Settings(), tmp_path) as service, service.client() as api:
         body = problem(api.get("/api/v1/info"), 503, "storage-unavailable")

@@ -147,7 +147,7 @@ def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
         ("B?last_set=-1", 422, "last_set"),
     ],
 )
-def test_what_cannot_be_exported_is_told(api, asked, status, said):
+def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, said):
     answer = api.get(f"/api/v1/waveforms/{asked}")
     assert answer.status_code == status
     assert said in answer.text
@@ -168,7 +168,7 @@ def test_what_is_too_much_is_refused_with_the_limit_and_what_helps(api, filled, 
     assert "more than 2 sets" in api.get("/api/v1/waveforms/B?format=npz").json()["detail"]
 
 
-def test_a_record_that_cannot_be_read_any_more_is_told_and_has_no_volts(tmp_path):
+def test_an_unreadable_record_is_marked_and_has_no_voltages(tmp_path):
     filled = FilledFolder(tmp_path, Settings(), shots_per_set=SHOTS)
     for index in (0, 1):
         filled.add_set(index)

@@ -156,7 +156,7 @@ def decides(alarms):
     return dict(_what_decides(Settings(alarms=alarms)))
 
 
-def test_what_raises_the_alarm_is_told_by_what_decides():
+def test_the_report_describes_the_configured_alarm_rule():
     by_chart = decides({"false_alarms_per_sensor_year": 0.5})
     assert by_chart["Alarm"].startswith(
         "by the chart beyond its limit, made for 0.5 false alarms a sensor and year"
@@ -199,7 +199,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                     assert (slope > 0) == (along == 0), "down is up"
 
 
-def test_it_tells_gaps_alarms_proof_history_and_orders(page):
+def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
     assert [row for row in page.tables["Gaps"] if row[0] == "D"] == [
         ["D", "missed", "held", "28.50", "29.00", "2"],
         ["D", "missed", "held", "30.00", "30.00", "1"],
@@ -278,7 +278,7 @@ def test_a_configuration_leads_to_its_folder(filled, tmp_path):
         (("--from-h", 1e6), "let it end later"),
     ],
 )
-def test_what_cannot_be_reported_is_told_and_nothing_is_written(words, said, filled, tmp_path):
+def test_an_impossible_report_is_rejected_and_nothing_is_written(words, said, filled, tmp_path):
     target = tmp_path / "a.html"
     with pytest.raises(UsageError, match=said):
         made(filled.folder, *words, "--out", target)

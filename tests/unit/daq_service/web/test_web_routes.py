@@ -205,7 +205,7 @@ def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     assert latest["supply_now"] is None
 
 
-def test_the_supply_is_told_as_its_process_keeps_it_with_its_age(api, filled):
+def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
     write_kept(
         filled.folder, kept_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0)
     )
@@ -236,7 +236,7 @@ def test_without_supply_and_probe_the_environment_is_empty(tmp_path):
     filled.close()
 
 
-def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
+def test_info_shows_a_pause_and_a_dry_run(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:
@@ -331,7 +331,7 @@ def test_fit_of_too_few_sets_says_why(api):
     assert "3 points" in fit["reason"]
 
 
-def test_transducers_tell_their_state(api):
+def test_transducers_have_their_state(api):
     states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
     assert {name: row["state"] for name, row in states.items()} == {
         "A": "normal",
@@ -358,7 +358,7 @@ def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
     filled.close()
 
 
-def test_a_proof_names_its_baseline_wherever_it_is_told(tmp_path):
+def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     for name in ("B", "C"):
@@ -463,7 +463,7 @@ def test_times_of_a_column_are_those_of_each_of_its_hours(epoch_utc_ns):
     assert rfc3339_of_hours(epoch_utc_ns, []) == []
 
 
-def test_hours_get_their_time_beside_them():
+def test_rows_with_hours_also_have_utc_times():
     row = with_utc({"due_h": 1.5, "raised_h": None, "wall_utc_ns": 0}, 0)
     assert row == {
         "due_h": 1.5,
@@ -484,7 +484,7 @@ ASKED = {
 }  # fmt: skip
 
 
-def test_info_tells_what_a_person_shall_do_now_and_how_long_that_is_waited_for(tmp_path):
+def test_info_shows_the_requested_action_and_its_remaining_time(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     at_ns = filled.due[0].due_utc_ns

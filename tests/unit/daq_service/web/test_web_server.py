@@ -56,7 +56,7 @@ def test_localhost_is_this_machine():
         assert listener.getsockname()[0] == "127.0.0.1"
 
 
-def test_stop_ends_all_streams_whatever_they_wait_for(filled):
+def test_stop_ends_all_waiting_streams(filled):
     read_to_end = queue.Queue()
 
     def read(url):

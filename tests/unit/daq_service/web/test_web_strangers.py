@@ -154,7 +154,7 @@ def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, header
 
 
 @pytest.mark.parametrize("blank", BLANKS, ids=ascii)
-def test_nobody_commands_under_a_blank_name_or_for_a_blank_reason(filled, api, blank):
+def test_a_blank_author_or_reason_is_rejected(filled, api, blank):
     before = len(filled.catalogue.open_commands())
     assert api.post("/api/v1/alarms/1/acknowledge", json={"author": blank}).status_code == 422
     for kind, author, arguments in (

@@ -355,7 +355,7 @@ def test_a_client_far_behind_lets_others_go_first(tmp_path):
     run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
 
 
-def test_more_streams_than_are_served_are_told_so(filled, service, monkeypatch):
+def test_too_many_streams_are_rejected_with_503(filled, service, monkeypatch):
     monkeypatch.setattr("daq_service.web.routes.stream.MOST_CLIENTS", 1)
     with connected(service, "?after=0") as events:
         take(events, 1)

@@ -260,7 +260,7 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?format=xlsx", 422, "csv"),
     ],
 )
-def test_what_cannot_be_exported_is_told(api, asked, status, said):
+def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, said):
     answer = api.get(f"/api/v1/tables/{asked}")
     assert answer.status_code == status
     assert said in answer.text
@@ -289,7 +289,7 @@ def test_without_pyarrow_the_others_are_offered(api, monkeypatch):
     assert "pip install 'solimon[parquet]'" in answer.json()["detail"]
 
 
-def test_the_list_tells_columns_units_and_formats(api):
+def test_the_list_of_tables_has_columns_units_and_formats(api):
     told = api.get("/api/v1/tables").json()
     assert told["formats"] == list(FORMATS)
     (features,) = [item for item in told["items"] if item["table"] == "features"]

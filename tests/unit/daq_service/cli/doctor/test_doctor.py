@@ -314,7 +314,7 @@ def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Pa
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_lost_catalogue_is_told_and_the_sets_say_whose_they_are(tmp_path: Path) -> None:
+def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
@@ -340,7 +340,7 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
     assert (found.state, "is a file" in found.found) == ("fail", True)
 
 
-def test_a_disk_that_refuses_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_rejects_writing_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -383,7 +383,7 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
 
 
 @pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
-def test_a_full_volume_is_told_though_the_test_would_fit(
+def test_a_full_volume_is_reported_even_if_the_test_would_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
 ) -> None:
     usage = SimpleNamespace(free=free * 10**9, total=10**12)
@@ -507,7 +507,7 @@ def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
 
 
-def test_what_a_board_agreed_to_is_told_with_units() -> None:
+def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
     said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
     assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
         "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"

@@ -45,7 +45,7 @@ def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
 
 
 @on_terminals
-def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
+def test_a_supply_that_is_on_without_a_recorder_causes_a_warning(rig: SerialRig) -> None:
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(True))
     checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert checks["supply: output"].state == "warn"
@@ -122,7 +122,7 @@ def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> N
 
 
 @on_terminals
-def test_an_address_where_nobody_listens_is_told_from_an_instrument_that_is_silent(tmp_path: Path) -> None:
+def test_a_refused_connection_is_distinguished_from_a_silent_instrument(tmp_path: Path) -> None:
     with SerialRig(tmp_path, way="tcp", line={"reply_timeout_s": 0.1}) as rig:
         rig.instruments.supply_link.inject(silent=True)
         (silent,) = looked(SUPPLY, rig.supply_parameters)

@@ -80,7 +80,7 @@ def test_state_and_remedy_follow_from_what_was_seen_and_what_is_configured(
     assert bool(remedy) == bool(told.remedy)
 
 
-def test_each_edge_is_told_beside_the_wave_that_is_expected(monkeypatch):
+def test_each_edge_is_reported_with_the_expected_wave(monkeypatch):
     told = check(monkeypatch, PLAIN, replace(QUIET, off=SPIKE))
     assert told.found == (
         "on: no spike; off: spike 0.8 V for 2 us, rings 12.3 ms, flyback -0.3 V, takes the trigger; the wave "
@@ -121,7 +121,7 @@ def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state
         ),
     ],
 )
-def test_a_level_is_judged_by_a_wave_that_there_is(features, survey, state, words):
+def test_a_trigger_level_is_checked_against_a_measured_wave(features, survey, state, words):
     shot = SimpleNamespace(key=ShotKey(position="B", set_index=0, shot_index=0))
     told = trial._level(Settings(), shot, features, survey)
     assert (told.state, words in told.found) == (state, True), told.found

@@ -80,7 +80,7 @@ def test_every_format_says_the_same(tables):
     assert "40 sets" in npy["alarm"]["why"]
 
 
-def test_the_paper_s_limit_stands_beside_what_it_does_not_keep(tables):
+def test_the_paper_s_limit_is_shown_with_its_actual_false_alarm_rate(tables):
     said = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
     experiment_text = {line.split()[0]: line for line in said if " limit " in line}
     assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in experiment_text["paper_mean_3sd"]
@@ -115,7 +115,7 @@ def test_empty_cells_are_missing_values(tmp_path, vectors):
     }
 
 
-def test_many_sensors_are_judged_by_several_processes_alike(tmp_path, tables):
+def test_multiple_processes_assess_many_sensors_identically(tmp_path, tables):
     paths = []
     for k in range(17):
         paths.append(tmp_path / f"{k}.npy")
@@ -126,7 +126,7 @@ def test_many_sensors_are_judged_by_several_processes_alike(tmp_path, tables):
     assert together[:2] == alone
 
 
-def test_a_sensor_that_cannot_be_judged_is_told_and_the_others_are_judged(tmp_path, tables):
+def test_a_sensor_that_cannot_be_assessed_is_reported_and_the_others_are_assessed(tmp_path, tables):
     np.save(tmp_path / "short.npy", np.random.default_rng(0).standard_normal((14, 5)))
     short, good = told(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
     assert "14 rows" in short["refused"]
@@ -135,7 +135,7 @@ def test_a_sensor_that_cannot_be_judged_is_told_and_the_others_are_judged(tmp_pa
     assert good["refused"] is None
 
 
-def test_people_are_told_in_words(tables):
+def test_the_text_output_has_baseline_limits_and_alarms(tables):
     answer = run(tables[".npy"], "--baseline-rows", 40, "--budget", 1)
     assert "baseline   40 sets" in answer.output
     assert "f_predictive" in answer.output
@@ -162,7 +162,9 @@ def test_people_are_told_in_words(tables):
         ("a.parquet", "no table", "no Parquet file"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused_beside_the_others(tmp_path, tables, name, content, words):
+def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
+    tmp_path, tables, name, content, words
+):
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     bad, good = told(path, tables[".npy"], "--baseline-rows", 40)
@@ -208,14 +210,14 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_is_refused_by_name(tmp
     assert bad["refused"].startswith("3 of row 7 is 1, where most of the baseline is within 0 of 0")
 
 
-def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
+def test_a_baseline_without_rows_is_rejected_with_the_available_values(tables):
     (bad,) = told(tables[".csv"], "--baseline-where", "part=good")
     assert bad["refused"].endswith("no row has part=good; there is healthy, test")
     (same,) = told(tables[".csv"], "--baseline-where", " part = Healthy ")
     assert same["n"] == 40
 
 
-def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
+def test_a_baseline_that_leaves_no_row_to_assess_causes_a_warning(tables):
     answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
     (found,) = json.loads(answer.stdout)["sensors"]
     assert found["n"] == 120
@@ -299,7 +301,7 @@ def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
     assert [one["row"] for one in found["left_out"]] == [50]
 
 
-def test_cells_are_told_as_the_file_has_them(tmp_path, vectors):
+def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
     path = tmp_path / "a.csv"
     rows = [f"12.040,{row:03};{a!r};{0.5 * (row < 40)}" for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["hour;a;phase", *rows]).replace(";0.", ";0,"), encoding="utf-8")
@@ -350,7 +352,7 @@ def test_numbers_that_are_none_are_refused_before_anything_is_read(option, value
     assert f"Invalid value for '{option}'" in answer.stderr
 
 
-def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
+def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(tmp_path):
     random, paths = np.random.default_rng(8), []
     for k in range(24):
         x = random.standard_normal((300, 5))

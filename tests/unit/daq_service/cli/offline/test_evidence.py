@@ -95,7 +95,7 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
     assert content_of(line.folder) == before
 
 
-def test_what_people_did_and_sets_without_a_record_are_judged_where_they_stood(life):
+def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
     assert {one.kind for one in found.alarms.kept} == {"no_data", "retired", "not_judged"}
@@ -113,7 +113,7 @@ def test_a_setting_moves_an_alarm(line):
     assert told["changed"] == {"alarms.k": 2}
 
 
-def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_otherwise(line):
+def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
     found = replayed(line.folder, ["baseline.hours=8"])
     words = list(in_words(found))
     assert "stays  C hole: set 22, hour 11.51" in words
@@ -133,7 +133,7 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
     # C has a hole in set 22 and is struck no more.
     [(7.5, []), (12, [("C", 23, 22)]), (12.5, [("B", 24, 24), ("C", 24, 22)])],
 )
-def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hours, unjudged):
+def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours, unjudged):
     done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
     told = json.loads(done.stdout)["not_assessed"]
     assert [(one["position"], one["last_set_index"], one["last_set"]) for one in told] == unjudged
@@ -150,7 +150,7 @@ def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hour
     ]
 
 
-def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(line):
+def test_each_column_has_its_count_and_the_outliers_come_first(line):
     found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
     of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
     outlier = of_b["outlier"]
@@ -288,9 +288,7 @@ def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(afte
     assert (told["agrees"], told["recomputed"]["differences"]) == (True, [])
 
 
-def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_told(
-    changed_line, line, tmp_path
-):
+def test_an_unknown_alarm_a_foreign_extractor_and_a_corrupt_set_are_reported(changed_line, line, tmp_path):
     change = alarm_id_of(line, "transducer_change", "B")
     unknown = explain(line.folder, 77, tmp_path / "out")
     assert unknown.returncode == 2
@@ -329,7 +327,7 @@ def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line,
         assert json.loads(done.stdout)["agrees"] is True
 
 
-def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
+def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
     told = json.loads(explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout)
     assert (told["agrees"], told["recomputed"]) == (None, None)
     assert "a person's order" in told["why_not_recomputed"]
@@ -349,7 +347,7 @@ def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
         ("export", "--data-dir", "{}", "--hdf5", "{}.h5"),
     ],
 )
-def test_a_lost_catalogue_is_told_with_the_word_that_makes_it_again(line, tmp_path, words):
+def test_a_lost_catalogue_is_reported_with_the_rebuild_command(line, tmp_path, words):
     folder = tmp_path / "lost"
     shutil.copytree(line.folder, folder, ignore=shutil.ignore_patterns("catalogue.sqlite*"))
     done = solimon_here(*(word.format(folder) for word in words), env={})
@@ -358,7 +356,7 @@ def test_a_lost_catalogue_is_told_with_the_word_that_makes_it_again(line, tmp_pa
     assert f"solimon rebuild --data-dir {folder}" in done.stderr
 
 
-def test_a_damaged_set_is_told_with_the_word_that_brings_it_back(line, tmp_path):
+def test_a_corrupt_set_is_reported_with_the_repair_command(line, tmp_path):
     folder = tmp_path / "damaged"
     shutil.copytree(line.folder, folder)
     path = next(folder.glob("sets/*000004*"))

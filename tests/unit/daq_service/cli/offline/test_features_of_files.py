@@ -97,7 +97,7 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
     assert f"ISW {1e6 * fwhm_s:.0f}" in answer.stderr.replace(".", " ") or "ISW" in answer.stderr
 
 
-def test_what_is_told_of_the_transducer_is_what_shots_are_compared_with(tmp_path):
+def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
     path = saved(tmp_path, volts())
     assert {tuple(row["flags"]) for row in told(path)} == {()}
     assert {tuple(row["flags"]) for row in told(path, "--isw-amplitude-v", 30.0)} == {("missed",)}
@@ -124,13 +124,13 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     assert rows[5]["tof_mf_s"] is None
 
 
-def test_one_record_is_compared_with_an_amplitude_told_alone(tmp_path):
+def test_a_single_record_is_compared_only_with_a_given_amplitude(tmp_path):
     path = saved(tmp_path, 0.15 * volts(n=1))
     assert told(path)[0]["flags"] == []
     assert told(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
 
 
-def test_waves_that_go_down_are_told_with_what_turns_them(tmp_path):
+def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
     answer = CliRunner().invoke(cli, ["features", str(saved(tmp_path, -volts(n=3))), "--json"])
     assert [row["flags"] for row in json.loads(answer.stdout)["records"]] == [["inverted"]] * 3
     assert answer.stderr.count("3 of 3 records are inverted") == 1
@@ -165,7 +165,7 @@ def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
     assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
 
 
-def test_a_table_of_samples_in_rows_is_told_to_have_records_in_rows(tmp_path):
+def test_a_table_with_samples_in_rows_is_rejected(tmp_path):
     assert "a row of a table is a record, not a sample" in refused(saved(tmp_path, volts(n=2).T))
 
 
