@@ -90,13 +90,13 @@ def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, s
     items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
-        for value, told in zip(here[column], [item[column] for item in items], strict=True):
-            if told is None:
+        for value, expected in zip(here[column], [item[column] for item in items], strict=True):
+            if expected is None:
                 assert value is None or pd.isna(value), column
             elif column.endswith("_utc"):
-                assert value == pd.Timestamp(told), column
+                assert value == pd.Timestamp(expected), column
             else:
-                assert value == told, column
+                assert value == expected, column
     assert set(here) == set(items[0]), "nothing that the page has is missing"
 
 
@@ -158,7 +158,7 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "message"),
     [
         (lambda test: test.waveforms("B", 10), "not stored"),
         (lambda test: test.waveforms("X"), "the positions are A, B, C, D"),
@@ -167,9 +167,9 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
         (lambda test: test.assessments(from_h=5, to_h=1), "Let to_h be at least from_h"),
     ],
 )
-def test_what_cannot_be_says_why(asked, said, of_folder, of_service):
+def test_what_cannot_be_says_why(asked, message, of_folder, of_service):
     for test in (of_folder, of_service):
-        with pytest.raises(client.ClientError, match=said):
+        with pytest.raises(client.ClientError, match=message):
             asked(test)
 
 
@@ -177,10 +177,10 @@ def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
     with pytest.raises(StorageError):
         client.open(tmp_path)
     with (
-        client.open("http://127.0.0.1:9") as nobody,  # the discard port: nobody listens
+        client.open("http://127.0.0.1:9") as unreachable,  # the discard port: nobody listens
         pytest.raises(client.UnreachableError, match="solimon serve"),
     ):
-        nobody.info()
+        unreachable.info()
     with client.open(service.url + "static/") as elsewhere, pytest.raises(client.RefusedError):
         elsewhere.info()
 
@@ -189,11 +189,11 @@ def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
 def test_news_is_followed_from_where_one_left(way, filled, request):
     test = request.getfixturevalue(way)
     first = test.info()["last_event_id"]
-    said = filled.say("noted", text="one")
+    event_id = filled.say("noted", text="one")
     filled.say("noted", text="two")
     news = test.follow("service", after=first)
     event = next(news)
-    assert (event.id, event.topic, event.kind) == (said, "service", "noted")
+    assert (event.id, event.topic, event.kind) == (event_id, "service", "noted")
     assert event.data["payload"]["text"] == "one"
     again = next(test.follow("service", after=event.id))
     assert again.data["payload"]["text"] == "two"

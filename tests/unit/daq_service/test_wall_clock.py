@@ -75,13 +75,13 @@ def test_a_drift_is_followed_over_350_h(drift_ppm: int) -> None:
 def test_time_is_never_set_back_by_following(machine: Machine) -> None:
     clock = machine.clock()
     machine.utc_ns -= 900_000_000
-    told_ns = []
+    times_ns = []
     for _ in range(2000):
         machine.sleep(1.0)
-        told_ns.append(clock.utc_ns())
-    slowest_ns = min(after - before for before, after in pairwise(told_ns))
+        times_ns.append(clock.utc_ns())
+    slowest_ns = min(after - before for before, after in pairwise(times_ns))
     assert slowest_ns == 999_500_000
-    assert told_ns[-1] == machine.utc_ns
+    assert times_ns[-1] == machine.utc_ns
     assert clock.steps() == []
 
 
@@ -151,19 +151,22 @@ def test_what_is_doubted_after_a_reboot(gap_h: float, synchronised: bool, doubte
 def test_time_stands_still_while_it_is_doubted_and_goes_on_when_the_clock_is_set(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
-    told = []
+    observations = []
 
     def idle(reason: str) -> bool:
-        told.append((clock.utc_ns(), clock.line(), reason))
-        if len(told) == 3:
+        observations.append((clock.utc_ns(), clock.line(), reason))
+        if len(observations) == 3:
             machine.utc_ns = NOW_NS + NS_PER_H
         return True
 
     believed = clock.wait_while_doubted(idle)
     assert believed is not None
     assert (believed.ahead_s, believed.experiment_utc_ns) == (0.0, machine.utc_ns)
-    assert [(now_ns, line) for now_ns, line, _ in told] == [(NOW_NS, None)] * 3
-    assert "2010-01-01T00:00:00Z, which is before what was stored last (2026-06-01T12:00:00Z)" in told[0][2]
+    assert [(now_ns, line) for now_ns, line, _ in observations] == [(NOW_NS, None)] * 3
+    assert (
+        "2010-01-01T00:00:00Z, which is before what was stored last (2026-06-01T12:00:00Z)"
+        in observations[0][2]
+    )
     assert clock.utc_ns() == machine.utc_ns
     assert clock.steps() == []
     assert clock.wait_while_doubted(idle) is None, "nothing is doubted any more"
@@ -172,8 +175,8 @@ def test_time_stands_still_while_it_is_doubted_and_goes_on_when_the_clock_is_set
 def test_a_clock_that_is_trusted_never_goes_back_before_what_is_stored(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
-    said = clock.trust()
-    assert "2010-01-01T00:00:00.000Z; the test goes on at 2026-06-01T12:00:00.000Z" in said
+    answer = clock.trust()
+    assert "2010-01-01T00:00:00.000Z; the test goes on at 2026-06-01T12:00:00.000Z" in answer
     machine.sleep(10.0)
     assert clock.utc_ns() == NOW_NS + 10 * NS_PER_S
     assert clock.steps() == [], "the step was told by the answer"
@@ -201,11 +204,11 @@ def test_what_counts_sleep_is_read(platform: str, name: str, monkeypatch: pytest
 
 
 @pytest.mark.parametrize(
-    ("answer", "maxerror_us", "told"),
+    ("answer", "maxerror_us", "synchronised"),
     [(0, 1000, True), (5, 1000, True), (5, 16_000_000, False), (-1, 0, False)],
 )
 def test_linux_is_asked_for_the_error_of_its_clock(
-    answer: int, maxerror_us: int, told: bool, monkeypatch: pytest.MonkeyPatch
+    answer: int, maxerror_us: int, synchronised: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Kernel:
         def __init__(self, name: None) -> None:
@@ -216,7 +219,7 @@ def test_linux_is_asked_for_the_error_of_its_clock(
             return answer
 
     monkeypatch.setattr(ctypes, "CDLL", Kernel)
-    assert is_synchronised("linux") is told
+    assert is_synchronised("linux") is synchronised
     assert not is_synchronised("win32")
     monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
     assert not is_synchronised("linux")

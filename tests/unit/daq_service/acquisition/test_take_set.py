@@ -115,10 +115,10 @@ class Scripted(Deaf):
         self.calls = []
 
     def _answer(self):
-        told = next(self.answers, ACQUIRED)
-        if isinstance(told, Exception):
-            raise told
-        return told
+        answer = next(self.answers, ACQUIRED)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
     def read(self, timeout_s):
         self.calls.append("read")
@@ -126,8 +126,8 @@ class Scripted(Deaf):
 
     def acquire(self, key, timeout_s):
         self.calls.append(f"echo {key.position}")
-        told = self._answer()
-        return Echo(waveform=told.waveform, gain_db=0.0, offset_v=0.0, averages=1)
+        answer = self._answer()
+        return Echo(waveform=answer.waveform, gain_db=0.0, offset_v=0.0, averages=1)
 
     def make_safe(self):
         self.calls.append("safe")

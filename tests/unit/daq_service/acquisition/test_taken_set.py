@@ -41,8 +41,12 @@ def test_what_is_kept_goes_where_it_belongs():
         taken.keep(measurement)
     assert not taken.is_empty
     assert ([shot.sequence for shot in taken.shots], [echo.sequence for echo in taken.echoes]) == ([41], [40])
-    (told,) = taken.missed_records()
-    assert (told.key, told.cause, told.reason) == (key("B", 0), "no trigger within 5 s", "no_trigger")
+    (missed_record,) = taken.missed_records()
+    assert (missed_record.key, missed_record.cause, missed_record.reason) == (
+        key("B", 0),
+        "no trigger within 5 s",
+        "no_trigger",
+    )
 
 
 def test_misses_alone_are_no_record():

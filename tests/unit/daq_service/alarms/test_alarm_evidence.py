@@ -82,7 +82,7 @@ def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
         "The set alone has a squared distance of 30 from the baseline (equation 16).",
     ]
     promised = {**CHART, "why_not_guaranteed": None, "rate_guaranteed": True}
-    assert not any("not promised" in said for said in evidence("wall_change", promised))
+    assert not any("not promised" in sentence for sentence in evidence("wall_change", promised))
 
 
 MOST_LISTED: dict[str, str] = {
@@ -155,21 +155,21 @@ def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
     )
 
 
-@pytest.mark.parametrize(("cause", "told"), [("wall", True), ("coupling", False)])
-def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause: str, told: bool) -> None:
-    said = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
-    last = evidence("wall_change", {"cause": cause, "confirmation": said})[-1]
-    assert ("counts that set" in last) is told
+@pytest.mark.parametrize(("cause", "counts"), [("wall", True), ("coupling", False)])
+def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause: str, counts: bool) -> None:
+    confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
+    last = evidence("wall_change", {"cause": cause, "confirmation": confirmation})[-1]
+    assert ("counts that set" in last) is counts
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
 def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
     whole = PROOFS.get(kind, PROOFS["supply_limit"])
     kept = data.draw(st.sets(st.sampled_from(sorted(whole))))
-    said = evidence(kind, {name: whole[name] for name in kept})
-    assert evidence(kind, {name: whole[name] if name in kept else None for name in whole}) == said
-    assert len(said) <= len(evidence(kind, whole))
-    assert "None" not in "".join(said)
+    sentences = evidence(kind, {name: whole[name] for name in kept})
+    assert evidence(kind, {name: whole[name] if name in kept else None for name in whole}) == sentences
+    assert len(sentences) <= len(evidence(kind, whole))
+    assert "None" not in "".join(sentences)
 
 
 def test_the_features_of_the_distance_have_words() -> None:

@@ -67,10 +67,10 @@ def test_the_tools_of_hdf5_read_it_too(tmp_path):
     values = record(160.0, n=50).reshape(1, -1)
     path = file_with(tmp_path / "set.h5", values, (1, 50))
     # -y -w 0: data only, on one line.
-    told = subprocess.run(
+    completed = subprocess.run(
         ["h5dump", "-d", "/values", "-y", "-w", "0", str(path)], capture_output=True, text=True, check=True
     )
-    numbers = told.stdout.partition("DATA {")[2].partition("}")[0]
+    numbers = completed.stdout.partition("DATA {")[2].partition("}")[0]
     np.testing.assert_array_equal([int(text) for text in numbers.split(",")], values[0])
 
 

@@ -35,7 +35,7 @@ def archive(tmp_path):
         yield archive
 
 
-def begun(archive, record):
+def append_set(archive, record):
     archive.begin_set(record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
@@ -57,7 +57,7 @@ class Refusing:
 
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, monkeypatch, name):
-    begun(archive, make_set())
+    append_set(archive, make_set())
     monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert list(segments(tmp_path)) == [2]
@@ -67,7 +67,7 @@ def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, mon
 
 def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
     """The second one may succeed although the data are gone."""
-    begun(archive, make_set())
+    append_set(archive, make_set())
     opened, real = [], os.open
 
     def noting(path, *arguments):
@@ -99,7 +99,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
 
 
 def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
-    begun(archive, make_set())
+    append_set(archive, make_set())
     with monkeypatch.context() as patch:
         patch.setattr(writer, "write_all", Refusing(writer.write_all, 99))
         for _ in range(2):
@@ -113,7 +113,7 @@ def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, 
 def test_a_nearly_full_disk_is_used_to_its_end(archive, monkeypatch):
     """No room for a whole segment is no reason to refuse a record."""
     monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
-    begun(archive, make_set())
+    append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 
 
@@ -124,7 +124,7 @@ def test_segments_go_with_their_last_set(tmp_path):
     with closing(FolderArchive(tmp_path)) as archive:
         archive._kept = Journal(tmp_path, segment_bytes=small)
         for record in sets:
-            begun(archive, record)
+            append_set(archive, record)
             archive.store_set(record)
         for number, record in enumerate(sets, 1):
             compact_set(tmp_path, record.set_index)
@@ -239,7 +239,7 @@ def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_pa
 def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
     with pytest.raises(SetNotFoundError, match="no set 7"):
         compact_set(tmp_path, SET_INDEX)
-    begun(archive, make_set())
+    append_set(archive, make_set())
     archive.sync()
     with pytest.raises(CorruptArchiveError, match="set 7 in the journal has no end"):
         compact_set(tmp_path, SET_INDEX)
@@ -247,7 +247,7 @@ def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
 
 def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
     """The end is there and a record is not: nobody was told of the set, and it is taken again."""
-    begun(archive, make_set())
+    append_set(archive, make_set())
     archive.store_set(make_set())
     (path,) = segments(tmp_path).values()
     content = bytearray(path.read_bytes())

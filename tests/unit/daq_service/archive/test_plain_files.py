@@ -140,15 +140,15 @@ def path(tmp_path):
 def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
     with h5py.File(path, "r+") as file:
         change(file["entry"], path.with_name("secret"))
-    told = re.compile(REFUSED[change])
+    pattern = re.compile(REFUSED[change])
     tracemalloc.start()
-    with pytest.raises(CorruptArchiveError, match=told):
+    with pytest.raises(CorruptArchiveError, match=pattern):
         read_file(path, skip_damaged=True)
-    with pytest.raises(CorruptArchiveError, match=told):
+    with pytest.raises(CorruptArchiveError, match=pattern):
         blocks_of(path.parent, path.name)
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=pattern):
         open_records(path, Told())
-    assert any(told.search(str(damage)) for damage in check_file(path).damages)
+    assert any(pattern.search(str(damage)) for damage in check_file(path).damages)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     # A few copies of the file and its handles: far below what it claims.

@@ -109,7 +109,7 @@ def test_an_empty_file_is_unreadable_and_a_missing_one_is_not_there(path):
 # The journal ---------------------------------------------------------------------------------------
 
 
-def begun(archive, record):
+def append_set(archive, record):
     archive.begin_set(
         record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
     )
@@ -122,9 +122,9 @@ def begun(archive, record):
 def journal(tmp_path):
     """A whole set and an open one."""
     with closing(FolderArchive(tmp_path)) as archive:
-        begun(archive, make_set())
+        append_set(archive, make_set())
         archive.store_set(make_set())
-        begun(archive, other_set(make_set(), SET_INDEX + 1))
+        append_set(archive, other_set(make_set(), SET_INDEX + 1))
     return tmp_path
 
 

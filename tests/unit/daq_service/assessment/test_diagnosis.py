@@ -113,18 +113,18 @@ def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
 
 def origins(causes, n=5):
     """Say after each set whether a change comes from elsewhere; it stands from the fourth one on."""
-    origin, told = Origin(), ""
+    origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
         origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)
-        told += "e" if origin.elsewhere else "w"
-    return told
+        letters += "e" if origin.elsewhere else "w"
+    return letters
 
 
 KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMINED, "o": OK}
 
 
 @pytest.mark.parametrize(
-    ("causes", "told"),
+    ("causes", "expected"),
     [
         # Before it stands each set says it.
         ("?S?", "wew"),
@@ -138,8 +138,8 @@ KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMI
         ("?SSSoooooo", "weeeeeeeee"),
     ],
 )
-def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, told):
-    assert origins(causes) == told
+def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, expected):
+    assert origins(causes) == expected
 
 
 def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
@@ -185,9 +185,9 @@ def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_s
     quiet = replace(state.memory, alarming=False)
     healthy, row = replace(state, memory=quiet), row_of(assessment)
     named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
-    told = replace(row, cause=WALL, cause_probability=0.97)
+    wall_row = replace(row, cause=WALL, cause_probability=0.97)
     assert not wall_conditions("B", healthy, chart, row)[0].present
-    wall, transducer = wall_conditions("B", named, chart, told)
+    wall, transducer = wall_conditions("B", named, chart, wall_row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
     assert wall.proof["raised_by"] == "cause"
@@ -195,12 +195,12 @@ def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_s
         "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
     )
     # What is not sure any more does not take it back, only health does.
-    unsure = replace(told, cause=UNDETERMINED)
+    unsure = replace(wall_row, cause=UNDETERMINED)
     assert wall_conditions("B", named, chart, unsure)[0].present
     # Where k of n sets decide, they alone do.
-    assert not wall_conditions("B", named, RULES, told)[0].present
+    assert not wall_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
-    by_chart = wall_conditions("B", alarming, chart, told)[0]
+    by_chart = wall_conditions("B", alarming, chart, wall_row)[0]
     assert by_chart.proof["raised_by"] == "chart"
     assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
 

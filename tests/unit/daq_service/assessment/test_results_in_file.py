@@ -42,8 +42,8 @@ def test_a_copy_is_like_its_rows_also_where_there_is_no_value():
 
 def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
     copy = results(FEATURE, MEAN)
-    told = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
-    assert told == [
+    differences = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
+    assert differences == [
         "features, shot_id 41: tof_pp_s is nan, in the file 0.00033",
         "set_features, position B: there is no row",
         "thickness, position A: not in the file",

@@ -185,19 +185,19 @@ def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
 
 
 def test_a_set_without_a_vector_leaves_the_chart_as_it_was():
-    judged = [*baseline(), a_set(LAST + 1, shift=0.03)]
-    state, assessment = after(judged)
+    assessed_sets = [*baseline(), a_set(LAST + 1, shift=0.03)]
+    state, assessment = after(assessed_sets)
     assert state.memory == assessment.memory != after(baseline())[0].memory
     for poor in (a_set(LAST + 2, quality="bad"), a_set(LAST + 2, n_taken=0, n_valid=0, flags=())):
-        assert after([*judged, poor])[0].memory == state.memory
+        assert after([*assessed_sets, poor])[0].memory == state.memory
 
 
 def test_a_stored_assessment_is_used_without_a_new_computation():
     sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
     live = states(sets)
     state = after(baseline())[0]
-    state, told = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
-    assert told is live[-2][1]
+    state, assessment = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
+    assert assessment is live[-2][1]
     assert step(state, sets[-1], RULES)[1] == live[-1][1]
 
 
@@ -240,8 +240,8 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
         for one in baseline()
     ]
     state, _ = after(stuck)
-    told = readiness_of(state, RULES)
-    assert (told["named"], told["n"]) == ([], LAST + 1)
-    assert told["advice"].endswith(f"; {ALIKE}")
+    quality = readiness_of(state, RULES)
+    assert (quality["named"], quality["n"]) == ([], LAST + 1)
+    assert quality["advice"].endswith(f"; {ALIKE}")
     state, assessment = step(state, a_set(LAST + 1, shift=1.0), RULES)
     assert assessment.outlier

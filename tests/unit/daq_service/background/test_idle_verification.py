@@ -151,7 +151,7 @@ def test_a_worker_that_dies_is_no_damage(tmp_path, stored):
     assert Idle(tmp_path, Dying()).steps(3) == {}
 
 
-class Told:
+class IdleCheckDouble:
     """Stands for an idle check that knows of damage."""
 
     def __init__(self, damaged=()):
@@ -170,15 +170,15 @@ def alarms(line):
 
 def test_damage_is_an_alarm_at_the_start_and_clears_when_it_is_mended(tmp_path):
     line = Line(tmp_path)
-    first = Told({"sets/one.h5": "is missing"})
+    first = IdleCheckDouble({"sets/one.h5": "is missing"})
     line.run(idle_check=first)
     assert (alarms(line), first.known) == ([("high", "unacknowledged")], {})
     (alarm,) = (row for row in line.rows("alarms") if row.kind == "data_damaged")
     assert alarm.message.startswith("sets/one.h5 is missing; solimon verify names all of it")
-    told = [row.payload for row in line.rows("events") if row.kind == "data_damaged"]
-    assert told == [{"file": "sets/one.h5", "told": "is missing"}]
+    payloads = [row.payload for row in line.rows("events") if row.kind == "data_damaged"]
+    assert payloads == [{"file": "sets/one.h5", "told": "is missing"}]
     assert set(first.free_s) == {-math.inf}, "simulated time has no idle hours"
-    second = Told()
+    second = IdleCheckDouble()
     line.run(idle_check=second)
     assert alarms(line) == [("high", "returned_unacknowledged")]
     assert second.known == {"sets/one.h5": "is missing"}
@@ -187,16 +187,16 @@ def test_damage_is_an_alarm_at_the_start_and_clears_when_it_is_mended(tmp_path):
 def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, monkeypatch):
     monkeypatch.setattr(wall, "IDLE_INTERVAL_S", 60.0)
     settings = memory_settings(clock={"kind": "wall"})
-    line, told = Line(tmp_path, settings=settings, listen_every_s=0.0), Told()
+    line, check = Line(tmp_path, settings=settings, listen_every_s=0.0), IdleCheckDouble()
     clock = Machine(parse_utc(settings.clock.epoch)).clock(None)
-    assert line.run(clock=clock, idle_check=told)
-    assert max(told.free_s) == pytest.approx(1800.0, abs=1.0)  # half an hour between sets; a strike's rest
-    assert min(told.free_s) <= 0.0
+    assert line.run(clock=clock, idle_check=check)
+    assert max(check.free_s) == pytest.approx(1800.0, abs=1.0)  # half an hour between sets; a strike's rest
+    assert min(check.free_s) <= 0.0
 
 
 def test_a_start_reads_few_files_of_an_older_folder_and_leaves_the_others_to_its_idle_hours():
     """A year's files take hours, and no heartbeat comes while a start reads."""
     catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
-    session._note_digests(catalogue, archive, lambda *told: noted.append(told))
+    session._note_digests(catalogue, archive, lambda *values: noted.append(values))
     assert noted == [(index, f"sets/{index}.h5", f"of sets/{index}.h5") for index in range(17_400, 17_500)]

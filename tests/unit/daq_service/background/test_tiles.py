@@ -134,8 +134,8 @@ def test_a_folder_that_cannot_hold_tiles_is_logged_once_and_stops_no_set(line, c
         for _ in line.files:
             line.work(free_s=QUIET_S + 1)
             line.now_s += EVERY_S
-    told = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
-    assert len(told) == 2, "once by the making of files, once by the rounds"
+    warnings = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
+    assert len(warnings) == 2, "once by the making of files, once by the rounds"
     assert line.compaction.trouble == ""
 
 

@@ -287,11 +287,11 @@ def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, wr
     ):
         with pytest.raises(OtherExperimentError) as caught:
             look(other, tmp_path)
-        told = str(caught.value)
-        assert HASH in told
-        assert other.configuration_hash() in told
-        assert "plate.thickness_m began with 0.00635, is 0.006 now" in told
-        assert "--data-dir" in told
+        message = str(caught.value)
+        assert HASH in message
+        assert other.configuration_hash() in message
+        assert "plate.thickness_m began with 0.00635, is 0.006 now" in message
+        assert "--data-dir" in message
 
 
 def test_the_experiment_is_made_once(tmp_path, writer):
@@ -706,7 +706,7 @@ def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, rea
         writer.commit_set(SetCommit(environment=[environment_row(3)]))
 
 
-def told(kind, **payload):
+def event_commit(kind, **payload):
     return SetCommit(events=[event_row(kind, "service", payload=payload)])
 
 
@@ -714,10 +714,10 @@ def test_a_hold_stands_until_its_release(writer, reader):
     assert reader.held() is None
     assert reader.last_service_event("hold", "release") is None
     for commit, held in (
-        (told("hold", held="held by ann"), "held by ann"),
-        (told("recorder_started"), "held by ann"),
-        (told("release", held=""), None),
-        (told("hold", held="held by bob: door"), "held by bob: door"),
+        (event_commit("hold", held="held by ann"), "held by ann"),
+        (event_commit("recorder_started"), "held by ann"),
+        (event_commit("release", held=""), None),
+        (event_commit("hold", held="held by bob: door"), "held by bob: door"),
     ):
         writer.commit_set(commit)
         assert reader.held() == held

@@ -27,9 +27,9 @@ def follower(catalogue, tmp_path):
     return follower
 
 
-def set_row(position, **told):
-    told = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **told}
-    return SetRow(set_index=0, position=position, method="pulse_echo", **told)
+def set_row(position, **columns):
+    columns = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **columns}
+    return SetRow(set_index=0, position=position, method="pulse_echo", **columns)
 
 
 def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_file(
@@ -205,8 +205,8 @@ def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue
 def test_a_history_of_another_experiment_is_refused_with_both(catalogue, follower, tmp_path):
     path = tmp_path / HISTORY_FILE
     (line,) = path.read_bytes().splitlines()
-    told = parsed(line + b"\n").experiment
-    row = {name: getattr(told, name) for name in told.__slots__}
+    experiment = parsed(line + b"\n").experiment
+    row = {name: getattr(experiment, name) for name in experiment.__slots__}
     path.write_bytes(line_of(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
     with pytest.raises(OtherExperimentError, match=r"1970-01-01.*2001-09-09"):
         HistoryFollower(tmp_path, catalogue).begin()

@@ -133,18 +133,18 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         assert {name: counts[name] for name in expected} == expected
         assert counts["active_alarms"] == len(plainly(catalogue.rows(AlarmRow), {"active": True}))
         for position, word in catalogue.positions_state().items():
-            for told, kind, filters in (
+            for newest, kind, filters in (
                 (word.last_set, SetRow, {}),
                 (word.last_feature, FeatureRow, {"scope": "set"}),
                 (word.last_verdict, AssessmentRow, {}),
                 (word.last_thickness, ThicknessRow, {}),
             ):
                 found = plainly(catalogue.rows(kind), {"position": position, **filters})
-                assert told == max(found, key=lambda row: row.set_index, default=None)
+                assert newest == max(found, key=lambda row: row.set_index, default=None)
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
-        said = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
-        held = [row for row in said if row.kind in ("hold", "release")]
-        assert catalogue.rows(EventRow, topic="service") == said
+        service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
+        held = [row for row in service_events if row.kind in ("hold", "release")]
+        assert catalogue.rows(EventRow, topic="service") == service_events
         assert catalogue.last_service_event("hold", "release") == (held[-1] if held else None)
         assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)

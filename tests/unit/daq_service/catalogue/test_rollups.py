@@ -29,7 +29,7 @@ VALUES = ("tof_pp_s", "amplitude_ratio")
 def random_sets(folder, seed):
     """Sets of one position, with the rows of each; judged again, late, missed, retired, without values."""
     chance = random.Random(seed)
-    catalogue, told, waiting = new_catalogue(folder), {}, []
+    catalogue, rows_by_set, waiting = new_catalogue(folder), {}, []
     retired = range(200, 240)
     for index in range(N_SETS):
         own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
@@ -52,22 +52,22 @@ def random_sets(folder, seed):
         if chance.random() < 0.03:
             row["alarms"] = 1
             commit.alarms.append(alarm(index))
-        told[index] = row
+        rows_by_set[index] = row
         waiting.append(commit)
         if index == BASELINE:  # the baseline's own distances are known now
             for number in range(BASELINE):
-                if told[number]["state"] == "done":
-                    told[number]["distance_squared"] = chance.random()
-                    own = {"position": "B", "set_index": number, "due_h": told[number]["due_h"]}
-                    waiting[-1].assessments.append(assessment(own, told[number], True))
+                if rows_by_set[number]["state"] == "done":
+                    rows_by_set[number]["distance_squared"] = chance.random()
+                    own = {"position": "B", "set_index": number, "due_h": rows_by_set[number]["due_h"]}
+                    waiting[-1].assessments.append(assessment(own, rows_by_set[number], True))
         if chance.random() < 0.8 or index == N_SETS - 1:
             late = chance.random() < 0.3 and index > BASELINE + 5
             for commit in waiting[::-1] if late else waiting:
                 catalogue.commit_set(commit)
             waiting = []
     catalogue.commit_set(SetCommit(alarms=[alarm(7)]))
-    told[7]["alarms"] += 1
-    return catalogue, told
+    rows_by_set[7]["alarms"] += 1
+    return catalogue, rows_by_set
 
 
 def assessment(own, row, in_baseline):
@@ -87,12 +87,12 @@ def alarm(index):
 @pytest.mark.parametrize("seed", range(2))
 def test_bins_say_what_all_rows_say(tmp_path, seed):
     chance = random.Random(seed)
-    catalogue, told = random_sets(tmp_path, seed)
+    catalogue, rows_by_set = random_sets(tmp_path, seed)
     with catalogue:
         for _ in range(60):
             first_h, last_h = sorted(chance.uniform(-5.0, 180.0) for _ in range(2))
             points = chance.choice([1, 2, 7, 30, 100])
-            rows = {index: row for index, row in told.items() if first_h <= row["due_h"] <= last_h}
+            rows = {index: row for index, row in rows_by_set.items() if first_h <= row["due_h"] <= last_h}
             found = trend_bins(
                 catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
             )
@@ -136,13 +136,15 @@ def compare(rows, found):
 
 
 def test_fits_are_those_of_all_rows(tmp_path):
-    catalogue, told = random_sets(tmp_path, 5)
+    catalogue, rows_by_set = random_sets(tmp_path, 5)
     chance = random.Random(5)
     with catalogue:
         for _ in range(20):
             first_h, last_h = sorted((chance.uniform(-5.0, 60.0), chance.uniform(70.0, 180.0)))
             part = trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
-            rows = [row for row in told.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row]
+            rows = [
+                row for row in rows_by_set.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row
+            ]
             values = np.array([row["tof_pp_s"] for row in rows], dtype=float)
             whole, trend = fit_trend([row["due_h"] for row in rows], values), trend_of_part(part)
             assert trend.n_points == whole.n_points

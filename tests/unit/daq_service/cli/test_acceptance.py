@@ -122,11 +122,11 @@ def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
 
 def test_shortfalls_and_faults_are_listed_by_kind(faulty):
     made = made_of(faulty)
-    lacking = {(state, positions): told for state, positions, *told in rows(made, "shortfalls")}
+    lacking = {(state, positions): values for state, positions, *values in rows(made, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
     assert numbers(made)["restrikes"] > 0  # and they count nowhere as records that were planned
     [(times, longest_h, together_h, standing, words)] = [
-        told for kind, *told in rows(made, "faults") if kind == "rig_unavailable"
+        values for kind, *values in rows(made, "faults") if kind == "rig_unavailable"
     ]
     # From the end of set 5 to that of 7, and from 10 to 11: one alarm that nobody acknowledged.
     assert (times, standing) == (2, 0)
@@ -300,9 +300,9 @@ def test_memory_that_grows_by_a_line_has_its_slope_and_a_restart_is_no_fall(evid
     one = grown(evidence, [10**8 + 1000 * number for number in range(100)])
     assert (one.value, one.low, one.high) == pytest.approx((1e6, 1e6, 1e6))
     two = [*readings([10**8] * 70), *readings([10**7 + 50 * n for n in range(100)], recorder=2, first=70)]
-    told = memory(evidence, two)
-    assert told[0].value == 10**8
-    assert told[1].value == pytest.approx(5e4)
+    quantities = memory(evidence, two)
+    assert quantities[0].value == 10**8
+    assert quantities[1].value == pytest.approx(5e4)
 
 
 def test_the_interval_of_a_slope_holds_it_in_noise_and_the_first_sets_count_for_nothing(evidence):
@@ -328,12 +328,12 @@ def test_readings_of_a_real_run_are_reported(faulty):
     assert found["files_read_again"] == 2
     assert found["resident_bytes_max"] > 10**6
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
-        told = [
+        payloads = [
             json.loads(text)
             for (text,) in database.execute("SELECT payload FROM events WHERE topic = 'machine'")
         ]
     database.close()
-    costs = [sum(one["stage_s"].values()) - one["stage_s"]["strike_and_read_s"] for one in told]
+    costs = [sum(one["stage_s"].values()) - one["stage_s"]["strike_and_read_s"] for one in payloads]
     assert found["line_cost_max_s"] == pytest.approx(max(costs), abs=1e-9)
     assert found["line_cost_p50_s"] == pytest.approx(sorted(costs)[(len(costs) - 1) // 2], abs=1e-9)
 
@@ -393,12 +393,12 @@ def test_a_limit_that_is_none_is_refused(text):
 
 
 def test_the_how_to_lists_every_limit():
-    told = {}
+    limits = {}
     for line in HOW_TO.read_text(encoding="utf-8").splitlines():
         if found := re.match(r"\| (`.*`) \| (at (?:least|most)) ([\d.,]+) \|", line):
             limit = float(found[3].replace(",", ""))
-            told |= dict.fromkeys(re.findall(r"`(\w+)`", found[1]), (found[2], limit))
-    assert told == {item.quantity: (item.sense, item.limit) for item in DEFAULTS}
+            limits |= dict.fromkeys(re.findall(r"`(\w+)`", found[1]), (found[2], limit))
+    assert limits == {item.quantity: (item.sense, item.limit) for item in DEFAULTS}
 
 
 def test_quantiles_are_values_that_were_measured():
@@ -407,7 +407,7 @@ def test_quantiles_are_values_that_were_measured():
 
 
 @pytest.mark.parametrize(
-    ("told", "text"),
+    ("arguments", "text"),
     [
         (("B", 12_345_678), "12.35 MB"),
         (("B a 1,000 sets", -2.5e3, -3e3, 1e3), "-2.5 (-3 to 1) kB a 1,000 sets"),
@@ -416,8 +416,8 @@ def test_quantiles_are_values_that_were_measured():
         (("s", None), "not known"),
     ],
 )
-def test_a_number_is_shown_with_its_unit(told, text):
-    assert shown(*told) == text
+def test_a_number_is_shown_with_its_unit(arguments, text):
+    assert shown(*arguments) == text
 
 
 # The word --------------------------------------------------------------------------------------------
@@ -432,35 +432,35 @@ def recorded(tmp_path_factory):
 def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     page, file = tmp_path / "c.html", tmp_path / "c.json"
     code, printed = certify("--data-dir", recorded, "--html", page, "--json", file, "--verify")
-    told = json.loads(file.read_bytes())
+    report = json.loads(file.read_bytes())
     # Three sets say nothing of memory: not certified, but nothing is broken.
-    assert (code, told["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
+    assert (code, report["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
     html = page.read_text(encoding="utf-8")
     assert "<title>Certificate of the test" in html
     sources = re.findall(r"(?:src|href)='([^']*)'", html)
-    drawn = [name for name, one in told["series"].items() if one["values"]]
+    drawn = [name for name, one in report["series"].items() if one["values"]]
     assert len(sources) == len(drawn) >= 6
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert not re.search(r"https?:|url\(|@import|<script", html)
-    for item in told["quantities"].values():
+    for item in report["quantities"].values():
         assert markup.escape(item["text"]) in html
-    for name in ("solimon", "numpy", told["identity"]["configuration"], "instruments", "machine"):
+    for name in ("solimon", "numpy", report["identity"]["configuration"], "instruments", "machine"):
         assert name in html
-    assert told["quantities"]["damage_found"]["value"] == 0
-    assert told["identity"]["instruments"].startswith("rig simulated")
+    assert report["quantities"]["damage_found"]["value"] == 0
+    assert report["identity"]["instruments"].startswith("rig simulated")
 
 
 def test_the_shape_of_the_json(recorded):
     code, printed = certify("--data-dir", recorded, "--json")
-    told = json.loads(printed)
-    assert (code, told["solimon_certificate"]) == (6, "1")
-    assert list(told) == [
+    report = json.loads(printed)
+    assert (code, report["solimon_certificate"]) == (6, "1")
+    assert list(report) == [
         *("solimon_certificate", "made_utc", "made_by", "verdict", "criteria", "identity"),
         *("quantities", "tables", "series", "notes"),
     ]
-    assert [item["quantity"] for item in told["criteria"]] == [item.quantity for item in DEFAULTS]
-    assert all(item["unit"] and item["state"] for item in told["criteria"])
-    assert set(next(iter(told["quantities"].values()))) == {
+    assert [item["quantity"] for item in report["criteria"]] == [item.quantity for item in DEFAULTS]
+    assert all(item["unit"] and item["state"] for item in report["criteria"])
+    assert set(next(iter(report["quantities"].values()))) == {
         *("section", "text", "unit", "how", "value", "low", "high", "missing", "applies"),
     }
 
@@ -495,10 +495,10 @@ def test_corruption_found_by_verify_fails_the_report(tmp_path):
     content[len(content) // 2] ^= 0x10
     victim.write_bytes(content)
     code, printed = certify("--data-dir", folder, "--verify", "--json")
-    told = json.loads(printed)
-    assert (code, told["verdict"]) == (6, "fail")
-    assert told["quantities"]["damage_found"]["value"] >= 1
-    assert any(victim.name in note for note in told["notes"])
+    report = json.loads(printed)
+    assert (code, report["verdict"]) == (6, "fail")
+    assert report["quantities"]["damage_found"]["value"] >= 1
+    assert any(victim.name in note for note in report["notes"])
 
 
 def test_looking_changes_nothing_in_the_folder(recorded, tmp_path):
@@ -513,12 +513,12 @@ def test_an_older_folder_is_certified_as_far_as_it_goes_and_stays_as_it_is(tmp_p
     before = state_of(tmp_path)
     code, printed = certify("--data-dir", tmp_path, "--json")
     assert state_of(tmp_path) == before
-    told = json.loads(printed)
+    report = json.loads(printed)
     assert code == 6
-    assert told["quantities"]["sets_taken"]["value"] > 0
+    assert report["quantities"]["sets_taken"]["value"] > 0
     for name in ("resident_bytes_max", "line_cost_max_s", "free_bytes_min"):
-        assert told["quantities"][name]["value"] is None
-        assert "not kept by the solimon that recorded" in told["quantities"][name]["missing"]
+        assert report["quantities"][name]["value"] is None
+        assert "not kept by the solimon that recorded" in report["quantities"][name]["missing"]
 
 
 def test_a_corrupt_catalogue_is_reported_with_its_path(tmp_path):
@@ -526,9 +526,9 @@ def test_a_corrupt_catalogue_is_reported_with_its_path(tmp_path):
     with sqlite3.connect(folder / "catalogue.sqlite") as database:
         database.execute("UPDATE sets SET n_valid = n_valid + 1 WHERE id = 2")
     database.close()
-    code, told = certify("--data-dir", folder)
+    code, printed = certify("--data-dir", folder)
     assert code == 4
-    assert told.startswith(f"{folder / 'catalogue.sqlite'} is damaged: row 2 of table sets")
+    assert printed.startswith(f"{folder / 'catalogue.sqlite'} is damaged: row 2 of table sets")
 
 
 def test_a_file_that_exists_or_lies_among_the_test_s_own_is_refused(recorded, tmp_path):

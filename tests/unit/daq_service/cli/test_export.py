@@ -66,10 +66,10 @@ def records_of(folder, position):
 
 
 def test_a_running_test_gives_every_record_with_its_volts_and_times(running, tmp_path):
-    told = export_hdf5(running, tmp_path / "all.h5")
-    assert (told.sets, told.waiting, told.left_out) == (SETS, 0, {})
+    result = export_hdf5(running, tmp_path / "all.h5")
+    assert (result.sets, result.waiting, result.left_out) == (SETS, 0, {})
     with h5py.File(tmp_path / "all.h5") as file:
-        assert told.arrays["B_waveforms"] == file["entry/B_waveforms/waveform"].shape
+        assert result.arrays["B_waveforms"] == file["entry/B_waveforms/waveform"].shape
         assert file["entry/B_waveforms/waveform"].is_virtual
         for name, signal in (
             ("A_pulse_echo", "record"),
@@ -128,11 +128,11 @@ def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_pa
         for shot in record.shots
     ]
     path.write_bytes(build_image(replace(record, shots=shorter)))
-    told = export_hdf5(folder, tmp_path / "all.h5")
+    result = export_hdf5(folder, tmp_path / "all.h5")
     n_samples = shorter[0].waveform.counts.size
-    assert told.arrays["B_waveforms"] == (4, n_samples + 100)
-    assert told.arrays["B_waveforms_2"] == (2, n_samples)
-    assert told.arrays["C_waveforms"] == (6, n_samples + 100)
+    assert result.arrays["B_waveforms"] == (4, n_samples + 100)
+    assert result.arrays["B_waveforms_2"] == (2, n_samples)
+    assert result.arrays["C_waveforms"] == (6, n_samples + 100)
     with h5py.File(tmp_path / "all.h5") as file:
         assert file["entry/B_waveforms/set_index"][()].tolist() == [0, 0, 2, 2]
         assert file["entry/B_waveforms_2/set_index"][()].tolist() == [1, 1]
@@ -146,9 +146,9 @@ def test_missing_and_corrupt_files_are_left_out_and_listed(folder, tmp_path):
     files = set_files(folder)
     files[0].unlink()
     files[2].write_bytes(files[2].read_bytes()[:3000])
-    code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
-    assert (code, told["sets"], told["waiting"], told["ok"]) == (4, 1, 0, False)
-    assert sorted(told["left_out"]) == sorted(f"sets/{files[index].name}" for index in (0, 2))
+    code, answer = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, answer["sets"], answer["waiting"], answer["ok"]) == (4, 1, 0, False)
+    assert sorted(answer["left_out"]) == sorted(f"sets/{files[index].name}" for index in (0, 2))
     with h5py.File(tmp_path / "all.h5") as file:
         assert set(file["entry/B_waveforms/set_index"][()]) == {1}
         assert file["entry/B_sets/set_index"][()].tolist() == [0, 1, 2], "its rows are there all the same"
@@ -163,8 +163,8 @@ def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)
-        code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
-    assert (code, told["sets"], told["waiting"], told["left_out"]) == (0, 2, 1, {})
+        code, answer = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, answer["sets"], answer["waiting"], answer["left_out"]) == (0, 2, 1, {})
 
 
 def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder, tmp_path):
@@ -190,8 +190,8 @@ def test_what_cannot_be_meant_is_refused_with_code_2(folder, tmp_path, place):
     if place in ("nowhere", "empty"):
         source, target = tmp_path / place, tmp_path / "all.h5"
     before = sorted(path.name for path in tmp_path.rglob("*"))
-    code, told = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
-    assert code == 2, told
+    code, answer = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
+    assert code == 2, answer
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
@@ -215,18 +215,18 @@ def test_a_file_is_replaced_only_with_overwrite_and_only_completely(folder, tmp_
 
 
 def test_progress_counts_the_sets(running, tmp_path):
-    told = []
-    export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: told.append((done, planned)))
-    assert told == [(done, SETS) for done in range(SETS + 1)]
+    calls = []
+    export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: calls.append((done, planned)))
+    assert calls == [(done, SETS) for done in range(SETS + 1)]
 
 
 def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
     asked = ("--table", "features", "--position", "B", "--from-h", 0.6, "--fields", "tof_pp_s")
     endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
     outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
-    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
-    assert (code, told["ok"]) == (0, True)
-    assert [(file["table"], Path(file["file"]).suffix[1:]) for file in told["files"]] == [
+    code, answer = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, answer["ok"]) == (0, True)
+    assert [(file["table"], Path(file["file"]).suffix[1:]) for file in answer["files"]] == [
         ("features", ending) for ending in endings
     ]
     with open_catalogue(running) as catalogue:
@@ -250,9 +250,9 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
     endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
     outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
     asked = ("--waveforms", "B", "--first-set", 0, "--last-set", 1)
-    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
-    assert (code, told["ok"]) == (0, True)
-    assert [file["table"] for file in told["files"]] == ["waveforms"] * len(endings)
+    code, answer = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, answer["ok"]) == (0, True)
+    assert [file["table"] for file in answer["files"]] == ["waveforms"] * len(endings)
     stored = [read_set(path) for path in list(set_files(running).values())[:2]]
     expected = [shot.waveform.volts() for taken in stored for shot in taken.shots if shot.key.position == "B"]
     read = {
@@ -269,7 +269,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
         (("--table", "sets"), "wants --out"),
@@ -288,12 +288,12 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
     ],
 )
 def test_an_export_that_cannot_be_is_refused_before_anything_is_written(
-    words, said, running, tmp_path, monkeypatch
+    words, message, running, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    code, told = solimon("export", "--data-dir", running, *words)
+    code, answer = solimon("export", "--data-dir", running, *words)
     assert code == UsageError.exit_code
-    assert said in told
+    assert message in answer
     assert list(tmp_path.iterdir()) == []
 
 
@@ -307,7 +307,7 @@ def test_a_table_is_whole_or_not_there(running, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(shared_file, "write_all", full)
-    code, told = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
+    code, answer = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
     assert (code, target.read_text()) == (4, "older")
-    assert "free or mend the disk" in told
+    assert "free or mend the disk" in answer
     assert list(tmp_path.iterdir()) == [target]

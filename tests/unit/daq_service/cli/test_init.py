@@ -41,8 +41,8 @@ def refusal(*arguments: str | Path) -> str:
 
 def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
     file = tmp_path / "twin.toml"
-    told = written("twin", file)
-    assert told == {
+    answer = written("twin", file)
+    assert answer == {
         "kind": "twin",
         "file": str(file),
         "schema": str(tmp_path / "settings.schema.json"),
@@ -56,13 +56,13 @@ def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
 
 
 def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path: Path) -> None:
-    told = written("rig", tmp_path / "lab.toml")
+    answer = written("rig", tmp_path / "lab.toml")
     shipped = config_file("laboratory.toml")
     assert (tmp_path / "lab.toml").read_bytes() == shipped.read_bytes(), (
         "renew it: solimon init rig NEW, then NEW in the place of config/laboratory.toml"
     )
-    assert len(told["placeholders"]) == 7
-    assert "rig.supply.line.port" in told["placeholders"]
+    assert len(answer["placeholders"]) == 7
+    assert "rig.supply.line.port" in answer["placeholders"]
 
 
 @pytest.mark.parametrize("command", ["check-config", "run", "record", "doctor", "serve", "status"])
@@ -77,8 +77,8 @@ def test_no_command_takes_a_rig_that_is_not_finished(command: str, tmp_path: Pat
 
 
 def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
-    told = written("rig", tmp_path / "lab.toml", *LAB, "--set", "schedule.shots_per_set=12")
-    assert told["placeholders"] == []
+    answer = written("rig", tmp_path / "lab.toml", *LAB, "--set", "schedule.shots_per_set=12")
+    assert answer["placeholders"] == []
     settings = load_settings(tmp_path / "lab.toml")
     assert {wiring.board_serial for wiring in settings.rig.daqmx.transducers.values()} == {"01A2B3C4"}
     assert settings.schedule.shots_per_set == 12
@@ -87,8 +87,8 @@ def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
 def test_tables_are_switched_on_and_off(tmp_path: Path) -> None:
     file = tmp_path / "lab.toml"
     without = ["--without", "rig.niscope", "--without", "positions.A", "--without", "rig.supply"]
-    told = written("rig", file, *without, "--with", "rig.climate", *LAB[:2])
-    assert told["placeholders"] == ["rig.climate.identity", "rig.climate.line.port"]
+    answer = written("rig", file, *without, "--with", "rig.climate", *LAB[:2])
+    assert answer["placeholders"] == ["rig.climate.identity", "rig.climate.line.port"]
     rig = tomllib.loads(file.read_text(encoding="utf-8"))["rig"]
     assert [name for name, value in rig.items() if isinstance(value, dict)] == ["daqmx", "climate"]
     assert '\n#[rig.supply.line]\n#port = "PLACEHOLDER" ' in file.read_text(encoding="utf-8")

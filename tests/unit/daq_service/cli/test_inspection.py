@@ -31,7 +31,7 @@ def test_a_baseline_that_could_judge_nothing_is_warned_of(
     print_configuration(
         config=tmp_path / "test.toml", data_dir=tmp_path / "data", schema=False, as_json=False
     )
-    told = capsys.readouterr()
-    assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in told.out
+    printed = capsys.readouterr()
+    assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in printed.out
     whole = f"WARNING: nothing would be judged: {warning}of each transducer; {NEEDS}, and sets behind it\n"
-    assert told.err == (whole if warning else "")
+    assert printed.err == (whole if warning else "")

@@ -133,12 +133,12 @@ def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
 
 def test_no_summary_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    told = CliRunner().invoke(cli, ["--help"]).stdout
-    assert "..." not in told.partition("Commands:")[2]
+    help_text = CliRunner().invoke(cli, ["--help"]).stdout
+    assert "..." not in help_text.partition("Commands:")[2]
     for name, word in cli.commands.items():
         summary = " ".join((word.help or "").partition("\n\n")[0].split())
-        assert summary.partition(". ")[0].rstrip(".") in " ".join(told.split()), name
-    assert max(len(line) for line in told.splitlines()) <= 80
+        assert summary.partition(". ")[0].rstrip(".") in " ".join(help_text.split()), name
+    assert max(len(line) for line in help_text.splitlines()) <= 80
 
 
 def test_every_option_is_described() -> None:
@@ -176,8 +176,8 @@ def test_each_shell_gets_its_completion_script(shell: str) -> None:
     done = solimon_here("completion", shell, env={})
     assert done.returncode == 0
     assert f"_SOLIMON_COMPLETE={shell}_complete" in done.stdout
-    told = CliRunner().invoke(cli, ["completion", "--help"]).stdout
-    assert re.search(rf"{shell}: .*solimon completion {shell}", told)
+    help_text = CliRunner().invoke(cli, ["completion", "--help"]).stdout
+    assert re.search(rf"{shell}: .*solimon completion {shell}", help_text)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None or os.name == "nt", reason="needs bash")

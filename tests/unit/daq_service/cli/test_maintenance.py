@@ -51,8 +51,8 @@ def folder(tmp_path):
 
 
 def solimon(*arguments):
-    said = solimon_here(*map(str, arguments), "--json", env={})
-    return said.returncode, json.loads(said.stdout) if said.stdout else said.stderr
+    completed = solimon_here(*map(str, arguments), "--json", env={})
+    return completed.returncode, json.loads(completed.stdout) if completed.stdout else completed.stderr
 
 
 def kinds(folder):
@@ -86,9 +86,9 @@ def hit_a_record(folder, index):
 
 def test_a_whole_folder_is_clean_and_nothing_in_it_is_touched(folder):
     before = state_of(folder)
-    code, said = solimon("verify", "--data-dir", folder)
-    assert (code, said["ok"], said["damage"]) == (0, True, [])
-    assert said["checked"].items() >= {"files": SETS, "shots": 10 * SETS, "sets_with_rows": SETS}.items()
+    code, answer = solimon("verify", "--data-dir", folder)
+    assert (code, answer["ok"], answer["damage"]) == (0, True, [])
+    assert answer["checked"].items() >= {"files": SETS, "shots": 10 * SETS, "sets_with_rows": SETS}.items()
     assert state_of(folder) == before
 
 
@@ -97,9 +97,9 @@ def test_each_damage_is_named_with_exit_code_4(folder):
     (folder / FILES[1]).write_bytes(b"")
     (folder / FILES[2]).unlink()
     before = state_of(folder)
-    code, said = solimon("verify", "--data-dir", folder)
-    assert (code, said["ok"]) == (4, False)
-    found = {(item["kind"], item["file"], item["shot_id"]) for item in said["damage"]}
+    code, answer = solimon("verify", "--data-dir", folder)
+    assert (code, answer["ok"]) == (4, False)
+    found = {(item["kind"], item["file"], item["shot_id"]) for item in answer["damage"]}
     assert found == {
         ("shot", FILES[0], shot_id),
         ("set_touched", FILES[0], None),
@@ -107,7 +107,7 @@ def test_each_damage_is_named_with_exit_code_4(folder):
         ("set_touched", FILES[1], None),
         ("set_missing", FILES[2], None),
     }
-    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in said["damage"])
+    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in answer["damage"])
     assert state_of(folder) == before
 
 
@@ -135,7 +135,7 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
 
 
 @pytest.mark.parametrize(
-    ("sql", "told"),
+    ("sql", "message"),
     [
         ("UPDATE features SET tof_pp_s = 1.0 WHERE sequence = 12", "features, shot_id 12: tof_pp_s is 1.0"),
         ("UPDATE shots SET flags = '[\"noisy\"]' WHERE sequence = 12", "shot_id 12: flags is 'noisy'"),
@@ -148,9 +148,11 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
         ("DELETE FROM features WHERE sequence = 12", "features, shot_id 12: there is no row"),
     ],
 )
-def test_results_are_compared_with_their_copy_in_the_file(folder, sql, told):
+def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     change(folder, sql)
-    assert any(f"set 1, {told}" in item.told or told in item.told for item in verify_folder(folder).damage)
+    assert any(
+        f"set 1, {message}" in item.told or message in item.told for item in verify_folder(folder).damage
+    )
 
 
 def test_another_version_of_the_extractor_may_say_something_else(folder):
@@ -212,7 +214,7 @@ def notify_three(folder):
     ],
 )
 @pytest.mark.parametrize(
-    ("harm", "told"),
+    ("harm", "message"),
     [
         (lambda lines: [lines[0], lines[1].replace(b"ben", b"bob"), lines[2]], "damaged at line 2"),
         (lambda lines: [lines[0], lines[2]], "lacks its lines 2 to 2"),
@@ -220,16 +222,16 @@ def notify_three(folder):
     ],
     ids=["changed", "taken away", "torn"],
 )
-def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, told, write_three, kind, file, remedy):
+def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, message, write_three, kind, file, remedy):
     write_three(folder)
     assert kinds(folder) == []
     path = folder / file
     path.write_bytes(b"".join(harm(path.read_bytes().splitlines(keepends=True))))
-    code, said = solimon("verify", "--data-dir", folder)
+    code, answer = solimon("verify", "--data-dir", folder)
     assert code == 4
-    (damage,) = said["damage"]
+    (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == (kind, file)
-    assert told in damage["told"]
+    assert message in damage["told"]
     assert remedy in damage["told"]
 
 
@@ -245,9 +247,9 @@ def end_of_history(folder, *, lines):
 )
 def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_start(folder, harm):
     harm(folder)
-    code, said = solimon("verify", "--data-dir", folder)
+    code, answer = solimon("verify", "--data-dir", folder)
     assert code == 4
-    (damage,) = said["damage"]
+    (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == ("history", "history.jsonl")
     assert "history.jsonl ends before events" in damage["told"]
     assert run(small_settings(schedule={"end_h": (SETS + 1) * 0.5}), folder)
@@ -293,8 +295,8 @@ def test_a_lost_or_foreign_catalogue_is_named_and_the_files_are_checked_all_the_
 
 def test_a_folder_without_a_test_is_no_clean_one(tmp_path):
     for place in (tmp_path, tmp_path / "gone"):
-        code, said = solimon("verify", "--data-dir", place)
-        assert (code, "holds no test" in said) == (4, True)
+        code, answer = solimon("verify", "--data-dir", place)
+        assert (code, "holds no test" in answer) == (4, True)
 
 
 def values_of(folder):
@@ -307,8 +309,8 @@ def one_damaged_catalogue(folder, number):
     """Damage a copy; whether verify names it: what it does not name reads as it was written."""
     content = lay_out(folder).joinpath("catalogue.sqlite").read_bytes()
     before = values_of(folder)
-    for beside in folder.glob("catalogue.sqlite-*"):
-        beside.unlink()
+    for sidecar in folder.glob("catalogue.sqlite-*"):
+        sidecar.unlink()
     (folder / "catalogue.sqlite").write_bytes(damaged(content, number))
     if verify_folder(folder).damage:
         return True
@@ -406,12 +408,12 @@ def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(f
     (folder / FILES[1]).unlink()
     (folder / "sets" / "half.tmp").write_text("half")
     before = state_of(folder)
-    code, said = solimon("repair", "--data-dir", folder, "--from", copy)
-    assert (code, said["applied"], state_of(folder) == before) == (4, False, True)
-    does = {step["file"]: step["does"] for step in said["steps"]}
+    code, answer = solimon("repair", "--data-dir", folder, "--from", copy)
+    assert (code, answer["applied"], state_of(folder) == before) == (4, False, True)
+    does = {step["file"]: step["does"] for step in answer["steps"]}
     assert does == {"sets/half.tmp": "remove", FILES[0]: "from_backup", FILES[1]: "from_backup"}
-    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
-    assert (code, said["damage"]) == (0, [])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, answer["damage"]) == (0, [])
     assert {index: (folder / file).read_bytes() for index, file in FILES.items()} == contents
     assert [path.name for path in (folder / "quarantine").iterdir()] == [Path(FILES[0]).name]
     assert not (folder / "sets" / "half.tmp").exists()
@@ -420,15 +422,15 @@ def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(f
 def test_repair_without_another_copy_leaves_what_can_be_read(folder, tmp_path):
     hit_a_record(folder, 0)
     (folder / FILES[1]).unlink()
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, {step["does"] for step in answer["steps"]}) == (4, {"nothing"})
     assert (folder / FILES[0]).exists()
     copy = tmp_path / "copy"
     (copy / "sets").mkdir(parents=True)
     shutil.copy(folder / FILES[0], copy / FILES[0])  # damaged, too
     shutil.copy(folder / FILES[2], copy / FILES[1])  # another set
-    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
-    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+    code, answer = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, {step["does"] for step in answer["steps"]}) == (4, {"nothing"})
 
 
 def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside(folder):
@@ -442,15 +444,15 @@ def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside
         archive.store_set(record)
     assert kinds(folder) == []
     (folder / FILES[2]).write_bytes(content[:1000])
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, [step["does"] for step in said["steps"]]) == (0, ["from_journal"])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
     for table in ("features", "verdicts", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, [step["does"] for step in said["steps"]]) == (0, ["set_aside"])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in answer["steps"]]) == (0, ["set_aside"])
     assert not (folder / FILES[2]).exists()
 
 
@@ -459,19 +461,19 @@ def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside
 
 def test_a_backup_is_whole_incremental_and_opens_elsewhere(folder, tmp_path):
     copy, before = tmp_path / "copy", state_of(folder)
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["present"]) == (0, 0)
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["present"]) == (0, 0)
     assert rows_of(copy) == rows_of(folder)
     assert not {"recorder.lock", "heartbeat.json", "live"} & {path.name for path in copy.iterdir()}
     assert solimon("verify", "--data-dir", copy)[1]["damage"] == []
     kept = state_of(copy)
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["files"], said["present"]) == (0, 0, SETS)
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["files"], answer["present"]) == (0, 0, SETS)
     again = state_of(copy)
     assert {name: again[name] for name in FILES.values()} == {name: kept[name] for name in FILES.values()}
-    code, said = solimon("status", "--data-dir", copy)
-    assert (code, said["counts"]["sets"], said["lost"]) == (0, SETS, {})
-    assert said["recorder"].startswith("finished")
+    code, answer = solimon("status", "--data-dir", copy)
+    assert (code, answer["counts"]["sets"], answer["lost"]) == (0, SETS, {})
+    assert answer["recorder"].startswith("finished")
     assert {name: state_of(folder)[name] for name in before} == before
 
 
@@ -485,8 +487,8 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
         (folder, "lie within each other"),
         (foreign, "is not empty and no backup"),
     ):
-        code, said = solimon("backup", place, "--data-dir", folder)
-        assert (code, why in said) == (4, True), said
+        code, answer = solimon("backup", place, "--data-dir", folder)
+        assert (code, why in answer) == (4, True), answer
     assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
     copy = tmp_path / "copy"
     back_up(folder, copy)
@@ -542,8 +544,8 @@ def test_a_damaged_file_never_replaces_a_good_copy_and_lies_in_the_quarantine_of
     hit_a_record(folder, 0)
     back_up(folder, good)
     assert verify_folder(good).damage == []
-    code, said = solimon("backup", new, "--data-dir", folder)
-    assert (code, [item["file"] for item in said["damage"]]) == (4, [FILES[0]])
+    code, answer = solimon("backup", new, "--data-dir", folder)
+    assert (code, [item["file"] for item in answer["damage"]]) == (4, [FILES[0]])
     assert kinds(new) == [("set_missing", FILES[0], None)]
     assert [path.name for path in (new / "quarantine").iterdir()] == [Path(FILES[0]).name]
 
@@ -553,10 +555,10 @@ def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
     for index in (1, 2):
         (folder / FILES[index]).unlink()
     copy = tmp_path / "copy"
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["ok"]) == (4, False)
-    told = [(item["kind"], item["file"]) for item in said["damage"]]
-    assert told == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["ok"]) == (4, False)
+    damage = [(item["kind"], item["file"]) for item in answer["damage"]]
+    assert damage == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
     assert kinds(copy) == [("set_missing", FILES[index], None) for index in range(3)]
 
 
@@ -603,8 +605,8 @@ def test_status_and_web_service_report_a_lost_catalogue(folder, left):
     for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
         (folder / name).unlink()
     remedy = f"`solimon rebuild --data-dir {folder}` makes it again"
-    code, said = solimon("status", "--data-dir", folder)
-    assert (code, remedy in said, "is lost" in said) == (4, True, True)
+    code, message = solimon("status", "--data-dir", folder)
+    assert (code, remedy in message, "is lost" in message) == (4, True, True)
     with served(settings, folder) as service, service.client() as api:
         answer = api.get("/readyz")
         assert (answer.status_code, answer.json()["type"]) == (503, "urn:solimon:problem:catalogue-lost")
@@ -626,10 +628,10 @@ def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(fol
         assert lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
         (folder / newest).write_bytes(content)
         (folder / first).unlink()
-        for after_s, told in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
+        for after_s, expected in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
             os.utime(folder / newest, (times_s, times_s))
             os.utime(folder / "sets", (times_s + after_s, times_s + after_s))
-            assert lost_sets(folder, catalogue, newest_rows=n_positions) == told
+            assert lost_sets(folder, catalogue, newest_rows=n_positions) == expected
 
 
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
@@ -656,10 +658,10 @@ def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder
 
 def test_a_person_reads_what_was_checked_and_each_damage_on_a_line(folder):
     (folder / FILES[1]).unlink()
-    said = solimon_here("verify", "--data-dir", str(folder), env={})
-    lines = said.stdout.splitlines()
+    completed = solimon_here("verify", "--data-dir", str(folder), env={})
+    lines = completed.stdout.splitlines()
     assert lines[0].startswith(f"set_missing        {FILES[1]}: rows point at it")
     assert lines[-1] == "damage    1, named above"
     assert any(line.startswith("checked   ") and line.endswith(" MB") for line in lines)
-    said = solimon_here("repair", "--data-dir", str(folder), env={})
-    assert said.stdout.startswith(f"nothing       {FILES[1]}: ")
+    completed = solimon_here("repair", "--data-dir", str(folder), env={})
+    assert completed.stdout.startswith(f"nothing       {FILES[1]}: ")

@@ -156,10 +156,10 @@ def test_the_command_lines_are_ours(manager: str, config: Path) -> None:
 
 
 def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
-    told = written(config, "windows", "--user", "LAB\\ada", "--name", "wall")
-    assert [Path(file).name for file in told["files"]] == ["wall.xml", "wall-drive.xml"]
-    assert told["install"][0] == f'schtasks /create /f /tn "wall" /xml "{told["files"][0]}"'
-    task = ElementTree.fromstring(Path(told["files"][0]).read_bytes())
+    answer = written(config, "windows", "--user", "LAB\\ada", "--name", "wall")
+    assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-drive.xml"]
+    assert answer["install"][0] == f'schtasks /create /f /tn "wall" /xml "{answer["files"][0]}"'
+    task = ElementTree.fromstring(Path(answer["files"][0]).read_bytes())
     found = {element.tag.removeprefix(TASKS): element.text for element in task.iter()}
     assert found["Description"] == 'solimon run: 50 % "wall"'
     assert task.find(f".//{TASKS}BootTrigger/{TASKS}Repetition/{TASKS}Interval") is not None
@@ -169,13 +169,13 @@ def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_t
 
 
 def test_one_command_installs_and_starts_the_units(config: Path) -> None:
-    told = written(config, "systemd")
-    (line,) = told["install"]
-    names = [Path(file).name for file in told["files"]]
+    answer = written(config, "systemd")
+    (line,) = answer["install"]
+    names = [Path(file).name for file in answer["files"]]
     copy = [
         "sudo",
         "cp",
-        *told["files"],
+        *answer["files"],
         "/etc/systemd/system/",
         "&&",
         "sudo",
@@ -200,10 +200,10 @@ def test_a_recorder_notifies_its_service_manager_from_start_to_end(
     with notify_socket(tmp_path) as (environment, heard):
         done = solimon_here("record", str(config), env=environment)
     assert done.returncode == 0, done.stderr
-    opening, begun, *_, stopping = heard
+    opening, ready, *_, stopping = heard
     assert opening[0] == "WATCHDOG=1", "not ready yet"
     assert opening[-1] == "STATUS=opening the rig"
-    assert begun == ["READY=1"]
+    assert ready == ["READY=1"]
     assert stopping == ["STOPPING=1", "STATUS=stopping"]
 
 

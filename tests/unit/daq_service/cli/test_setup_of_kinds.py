@@ -116,7 +116,7 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         (("--kind", "oscilloscope"), "no installed package offers the kind 'oscilloscope'"),
         (("--kind", "scripted-supply"), "scripted-supply neither digitizes nor strikes here"),
@@ -128,8 +128,8 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
         (("--set", "scripted-scope.range_v=1", *AT_B), "--set is for --kind"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_opened(file, script, given, told):
-    with pytest.raises(UsageError, match=re.escape(told)):
+def test_what_cannot_be_is_refused_before_anything_is_opened(file, script, given, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
         set_up(file, *given)
     assert script.events == []
     assert not file.exists()

@@ -55,7 +55,7 @@ def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state:
     filled.catalogue.commit_set(commit)
 
 
-def told(facts: dict[str, Any]) -> list[str]:
+def status_lines(facts: dict[str, Any]) -> list[str]:
     console = console_on("stdout")
     console.width = PIPE_COLUMNS
     with console.capture() as captured:
@@ -64,7 +64,7 @@ def told(facts: dict[str, Any]) -> list[str]:
 
 
 def status_of(filled: FilledFolder) -> list[str]:
-    return told(describe_status(filled.folder, filled.settings))
+    return status_lines(describe_status(filled.folder, filled.settings))
 
 
 def line_of(lines: list[str], word: str) -> str:
@@ -74,7 +74,7 @@ def line_of(lines: list[str], word: str) -> str:
 
 def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
-    lines = told(facts)
+    lines = status_lines(facts)
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
@@ -92,7 +92,7 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
     )
     facts_by_sets = describe_status(filled.folder, by_sets)
     assert facts_by_sets["positions"]["B"]["chart"] is None
-    lines_by_sets = told(facts_by_sets)
+    lines_by_sets = status_lines(facts_by_sets)
     assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
     assert not any(line.startswith("decides") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
@@ -101,7 +101,7 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
 
 def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
-    assert not any(line.startswith("verdict") for line in told(facts))
+    assert not any(line.startswith("verdict") for line in status_lines(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
     for name, cause, probability in (("B", "wall", 0.97), ("C", "cannot tell", 0.98), ("D", "ok", 0.9)):
         facts["positions"][name]["last_verdict"] |= {
@@ -109,7 +109,7 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> Non
             "cause_probability": probability,
             "cause_told": experiment_text,
         }
-    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("verdict")]
+    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("verdict")]
     assert lines == [
         f"verdict  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
         f"verdict  C, set {SETS - 1}: CANNOT TELL: the wave has changed; inspect",
@@ -175,7 +175,7 @@ def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> Non
     expired = filled.catalogue.add_command("bob", "hold", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
     assert [row["id"] for row in facts["orders"]] == [order], f"order {expired} has expired"
-    awaited = [line for line in told(facts) if line.startswith("awaited")]
+    awaited = [line for line in status_lines(facts) if line.startswith("awaited")]
     assert re.fullmatch(
         r"awaited +the recorder's answer to retire by ann \(pending, expires in 60 min\)", awaited[0]
     )
@@ -190,7 +190,7 @@ def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, words:
     facts = describe_status(filled.folder, filled.settings)
     disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
     assert level in LEVELS
-    line = line_of(told({**facts, "disk": disk}), "disk")
+    line = line_of(status_lines({**facts, "disk": disk}), "disk")
     assert line.startswith("disk  5.00 GB free")
     assert words in line
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
@@ -209,7 +209,7 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFold
         experiment_text["last"]["confirms"],
     ) == (1, "C", True)
     assert (experiment_text["last"]["set_index"], experiment_text["last"]["age_h"]) == (index, 0.0)
-    assert line_of(told(facts), "confirm") == (
+    assert line_of(status_lines(facts), "confirm") == (
         "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
         "24.3, lies where the planned sets before it do."
@@ -226,9 +226,9 @@ def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None
         filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
     facts = describe_status(filled.folder, filled.settings)
     assert facts["positions"]["A"]["baseline"] is None
-    told_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
-    assert facts["positions"]["B"]["baseline"] == told_of_b | short | {"doubts": []}
-    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("baseline")]
+    baseline_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
+    assert facts["positions"]["B"]["baseline"] == baseline_of_b | short | {"doubts": []}
+    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("baseline")]
     assert lines == [
         "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
         "baseline  D: DOUBTFUL: set 6 lies alone, away from the others; a trend over the whole of it",
@@ -259,7 +259,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Pat
 def test_status_shows_a_missing_file_and_a_tripped_supply(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
-    lines = told({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
+    lines = status_lines({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
     assert line_of(lines, "LOST").startswith(
         "LOST  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
     )
@@ -273,7 +273,7 @@ def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     low_m, high_m = facts["positions"]["A"]["thickness_interval_m"]
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     assert low_m < wall_m < high_m
-    row = line_of(told(facts), " A")
+    row = line_of(status_lines(facts), " A")
     assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
     with open_catalogue(folder) as catalogue:
         first, *_, last = catalogue.rows(ThicknessRow, position="A")
@@ -283,7 +283,7 @@ def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     (folder / str(its_set.file)).unlink()
     facts = describe_status(folder, settings)
     assert facts["positions"]["A"]["thickness_interval_m"] is None
-    assert f" {1e3 * wall_m:.2f} mm  " in line_of(told(facts), " A")
+    assert f" {1e3 * wall_m:.2f} mm  " in line_of(status_lines(facts), " A")
     assert its_set.file in facts["lost"]
 
 
@@ -316,7 +316,7 @@ def test_watching_needs_a_terminal(filled: FilledFolder) -> None:
 
 
 def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
-    lines = told(describe_status(tmp_path, Settings()))
+    lines = status_lines(describe_status(tmp_path, Settings()))
     assert lines == ["data      here", "recorder  never started here", "          no data yet"]
 
 

@@ -36,10 +36,10 @@ def test_a_token_is_created_printed_once_listed_and_revoked(token, tmp_path):
     assert text not in listed
     assert token("revoke", "ann")[:2] == (0, "the token of ann opens nothing any more\n")
     assert token("list")[1].split()[2] == "revoked"
-    told = [
+    entries = [
         (deed.what, deed.source, deed.result, deed.arguments) for _, deed in read_audit(tmp_path, limit=9)[0]
     ]
-    assert told == [
+    assert entries == [
         ("revoke_token", "terminal", "done", {"name": "ann"}),
         ("create_token", "terminal", "done", {"name": "ann", "role": "operator", "days": 2.0}),
     ]
@@ -63,7 +63,7 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (
             ("create", "ann", "--role", "admin"),
@@ -78,12 +78,12 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
         (("revoke", "ben"), "there is no token 'ben' to revoke; there are: ann"),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, told):
+def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, message):
     create_token(tmp_path / "tokens.json", "ann", "viewer")
     before = (tmp_path / "tokens.json").read_bytes()
     code, out, err = token(*words)
     assert (code, out) == (2, "")
-    assert told in err
+    assert message in err
     assert (tmp_path / "tokens.json").read_bytes() == before
 
 
@@ -115,7 +115,7 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
 
 @pytest.mark.parametrize("command", ["serve", "run"])
 @pytest.mark.parametrize(
-    ("web", "tokens", "told"),
+    ("web", "tokens", "expected"),
     [
         (
             'host = "0.0.0.0"',
@@ -129,7 +129,7 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
     ],
 )
 def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
-    tmp_path, monkeypatch, command, web, tokens, told
+    tmp_path, monkeypatch, command, web, tokens, expected
 ):
     def started(*arguments, **options):
         raise AssertionError("it was started without its locks")
@@ -150,6 +150,6 @@ def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
     config.write_text(f"[web]\n{web}\n", encoding="utf-8")
     done = solimon_here(command, str(config), "--data-dir", str(folder), env={})
     assert (done.returncode, done.stdout) == (2, "")
-    for words in told:
+    for words in expected:
         assert words in done.stderr
     assert all(token.name == "ann" for token in read_tokens(folder / "tokens.json"))

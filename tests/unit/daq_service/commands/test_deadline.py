@@ -40,8 +40,8 @@ def test_it_stands_until_its_deadline_in_this_boot(
 
 
 def test_a_started_command_does_not_expire() -> None:
-    begun = replace(ORDER, state="started")
-    assert as_it_stands(begun, 0.0) is begun
+    started = replace(ORDER, state="started")
+    assert as_it_stands(started, 0.0) is started
 
 
 def test_an_order_of_an_older_version_has_no_time_left() -> None:

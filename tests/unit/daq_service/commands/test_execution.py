@@ -60,11 +60,11 @@ class Bench:
         self.next_set = 10
         self.restart()
 
-    def confirmation(self, position: str, author: str, because: str) -> Transaction:
+    def confirmation(self, position: str, author: str, reason: str) -> Transaction:
         """What the recorder would store, if the ledger allows it."""
         after = DueSet(set_index=0, due_h=0.5, due_utc_ns=round(0.5 * NS_PER_H))
         moment = Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None)
-        return self.ledger.order_confirmation(after, position, author, because, moment)
+        return self.ledger.order_confirmation(after, position, author, reason, moment)
 
     def restart(self, *, begin: bool = True) -> None:
         """What a new recorder process finds."""
@@ -158,10 +158,10 @@ def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Benc
     assert (row.mean, row.limits) == (proposed.mean, proposed.limits), "only its life goes on"
     again = bench.obey("approve_baseline", position="B")
     assert again == ("refused", "the baseline of B is approved: there is nothing to sign")
-    told = (
+    result = (
         "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
     )
-    assert bench.obey("renew_baseline", position="B", note=" coupled anew ") == ("done", told)
+    assert bench.obey("renew_baseline", position="B", note=" coupled anew ") == ("done", result)
     assert baselines(bench) == [
         ("B-baseline-1", "retired", 0, 47),
         ("B-baseline-2", "collecting", 10, 57),
@@ -178,8 +178,8 @@ def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Benc
     assert (state, "say why the baseline is retired" in why) == ("refused", True)
     bench.next_set = 378
     state, why = bench.obey("renew_baseline", position="B", note="a new sensor")
-    told = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
-    assert (state, why.startswith(told), "schedule.end_h" in why) == ("refused", True, True), why
+    reason = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
+    assert (state, why.startswith(reason), "schedule.end_h" in why) == ("refused", True, True), why
     bench.next_set = 377
     assert bench.obey("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
@@ -206,8 +206,8 @@ def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_wh
     assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
     ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
     why = "its baseline was retired: coupled anew"
-    for told in map(transition, ended):
-        assert (told["kind"], told["who"], told["why"]) == ("alarm_reset", "ann", why)
+    for change in map(transition, ended):
+        assert (change["kind"], change["who"], change["why"]) == ("alarm_reset", "ann", why)
     assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
     bench.restart()
     assert bench.ledger.alarms[("B", "wall_change")].state == "normal"
@@ -287,14 +287,14 @@ def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
 def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
     bench: Bench, begin: bool
 ) -> None:
-    begun, waiting = bench.write("supply_on"), bench.write("release")
+    started, waiting = bench.write("supply_on"), bench.write("release")
     rows_only = bench.write("hold", note="why")
-    for order_id in (begun, rows_only):
+    for order_id in (started, rows_only):
         bench.catalogue.start_command(order_id)  # ... and killed
     bench.restart(begin=begin)
     if not begin:  # the disk did not take it
         bench.listener.listen()
-    assert bench.answer(begun) == (
+    assert bench.answer(started) == (
         "failed",
         "the recorder ended while carrying it out; look before you give it again",
     )

@@ -88,8 +88,8 @@ def test_a_refusal_is_an_error_with_the_recorders_reason(
     with pytest.raises(UsageError, match="refused to reinstate: B is not retired") as refusal:
         recorder.given("reinstate", position="B", as_json=as_json)
     assert refusal.value.exit_code == 2
-    said = capsys.readouterr().out
-    assert (json.loads(said)["state"] if as_json else said) == ("refused" if as_json else "")
+    printed = capsys.readouterr().out
+    assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
 
 
 def test_arguments_that_no_recorder_would_take_are_not_written(recorder: Recorder) -> None:
@@ -174,9 +174,9 @@ def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable
     assert recorder.catalogue.open_commands() == []
 
 
-@pytest.mark.parametrize("told", ["schedule_done", "recorder_stopped"])
-def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, told: str) -> None:
-    tell(recorder.catalogue, told)
+@pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
+def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, kind: str) -> None:
+    tell(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
         recorder.given("hold", note="why")
@@ -184,12 +184,12 @@ def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder:
 
 
 @pytest.mark.parametrize(
-    ("told", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
+    ("kinds", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
 )
 def test_a_recorder_that_lingers_or_was_started_again_listens(
-    recorder: Recorder, told: list[str], stage: Stage
+    recorder: Recorder, kinds: list[str], stage: Stage
 ) -> None:
-    tell(recorder.catalogue, *told)
+    tell(recorder.catalogue, *kinds)
     beat(recorder.folder, stage)
     assert recorder.given("hold", note="why") == 0
     assert len(recorder.seen) == 1

@@ -93,15 +93,15 @@ def test_an_alarm_is_stored_when_it_changes_and_once():
 
 
 @pytest.mark.parametrize(
-    ("off_at_end", "error", "told", "on"),
+    ("off_at_end", "error", "expected", "on"),
     [
         (True, None, "the supply is off", False),
         (False, None, "", True),
         (True, ConnectionLostError("gone"), "the supply may still be on, switch it off by hand: gone", True),
     ],
 )
-def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, told, on):
+def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, expected, on):
     watch, supply, _ = watched(off_at_end=off_at_end)
     supply.error = error
-    assert watch.end() == told
+    assert watch.end() == expected
     assert supply.on is on

@@ -86,7 +86,7 @@ class Bench:
             self.clock.advance(step_s)
 
     def active(self) -> set[str]:
-        return {told["name"] for told in self.ask()["conditions"] if told["active"]}
+        return {condition["name"] for condition in self.ask()["conditions"] if condition["active"]}
 
     def energised(self) -> int:
         return sum(call.startswith("energise") for call in self.supply.calls)

@@ -126,10 +126,10 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
 
 def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
     """No alarm can be stored there: `run` and `demo` say it at once."""
-    said = []
+    messages = []
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
         volume = SimpleNamespace(total=100 * GB, free=free * GB)
         monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
-        report_full_disk(tmp_path, Settings(), said.append)
-        assert [line.partition(", and")[0] for line in said] == expected
-    assert said[0].endswith("free some, the test goes on by itself")
+        report_full_disk(tmp_path, Settings(), messages.append)
+        assert [line.partition(", and")[0] for line in messages] == expected
+    assert messages[0].endswith("free some, the test goes on by itself")

@@ -131,9 +131,9 @@ def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp
     heartbeat.beat("waiting for set 1")
     clock.now_ns += 10_000_000
     heartbeat.beat("taking set 1")
-    told = read_heartbeat(tmp_path)
-    assert told is not None
-    assert told.doing == "taking set 1"
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert beat.doing == "taking set 1"
 
 
 def test_nothing_half_written_is_left(tmp_path: Path) -> None:
@@ -159,9 +159,9 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / FILE_NAME).mkdir()
-    clock, told = FakeMonotonic(), []
+    clock, beats = FakeMonotonic(), []
     heartbeat = Heartbeat(
-        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: told.append(beat_of(values))
+        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: beats.append(beat_of(values))
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")
@@ -169,7 +169,7 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     assert read_heartbeat(tmp_path) is None
     (warning,) = caplog.records
     assert "cannot be written" in warning.getMessage()
-    assert [beat.doing for beat in told] == ["set 0", "set 1", "set 2"]
+    assert [beat.doing for beat in beats] == ["set 0", "set 1", "set 2"]
 
 
 def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:

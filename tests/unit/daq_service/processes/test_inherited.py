@@ -138,8 +138,8 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     process = start_process([*PROGRAM, "run", "--help"], {})
-    said, _ = process.communicate()
-    assert (process.returncode, said[:6]) == (0, b"Usage:")
+    output, _ = process.communicate()
+    assert (process.returncode, output[:6]) == (0, b"Usage:")
 
 
 @pytest.mark.parametrize("code", [0, 3])

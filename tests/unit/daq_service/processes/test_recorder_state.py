@@ -96,8 +96,8 @@ def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
     """The lock says that somebody runs, and whoever runs has not said farewell: it waits for its rig, say."""
 
     def state(found: Beat | None) -> tuple[Word, str, bool]:
-        told = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
-        return told.word, told.description, told.listens
+        result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
+        return result.word, result.description, result.listens
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
@@ -216,7 +216,7 @@ def test_status_commands_and_web_agree_that_no_recorder_runs(folder: Path, left:
 
 
 def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> None:
-    told = ["recorder_stopped"]
+    kinds = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
     def look(process: int) -> tuple[Word, str]:
@@ -224,7 +224,7 @@ def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> N
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
         (folder / FILE_NAME).write_bytes(encoded(last))
-        state = look_at_recorder(folder, told)
+        state = look_at_recorder(folder, kinds)
         return state.word, state.description
 
     with own_data_folder(folder):

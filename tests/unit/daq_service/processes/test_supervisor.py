@@ -185,8 +185,8 @@ def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> Non
 
 def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
     """An engineer wants to see why it ended; the code is passed on when the dashboard is stopped."""
-    said = json.dumps({"event": "progress", "done": 1})
-    recorder = Life(4, after_s=1.0, says=[said])
+    line = json.dumps({"event": "progress", "done": 1})
+    recorder = Life(4, after_s=1.0, says=[line])
     world = World(recorder, Life(), plans=(RECORDER, WEB), until_s=100.0)
     waiting, patience = world.wait, threading.Event()
 
@@ -252,20 +252,20 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
     alive = Life()
     world = World(alive, Life(0))
     beat = beat_at(world, STARTING_GRACE_S / 2, deadline_s=100.0)
-    told = {"event": "beat", **asdict(beat)}
-    alive.stdout = io.BytesIO(2 * (json.dumps(told).encode() + b"\n"))
+    message = {"event": "beat", **asdict(beat)}
+    alive.stdout = io.BytesIO(2 * (json.dumps(message).encode() + b"\n"))
     world.run()
     assert alive.killed_s == pytest.approx(STARTING_GRACE_S / 2 + 100.0, abs=0.101)
     restarts = {"event": "restarts", "cause": world.causes()[1], "in_s": 0.2}
-    assert world.messages == [("recorder", told), ("recorder", restarts)], "of two beats alike one is news"
+    assert world.messages == [("recorder", message), ("recorder", restarts)], "of two beats alike one is news"
 
 
 def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
     """It has beaten once, and stops to: its event loop hangs, or somebody stopped its process."""
     stalled = Life()
     world = World(stalled, Life(), plans=(WEB,), until_s=60.0)
-    told = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
-    stalled.stdout = io.BytesIO(json.dumps(told).encode() + b"\n")
+    message = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
+    stalled.stdout = io.BytesIO(json.dumps(message).encode() + b"\n")
     world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file says nothing of another process
     world.run(stay=True)
     assert stalled.killed_s == pytest.approx(16.0, abs=0.101)

@@ -66,7 +66,7 @@ def ordered_at(line, place, kind, **arguments):
     line.script, line.listen_every_s = ordering, 0.0
 
 
-def beside(line, kind=SetRow):
+def confirmation_rows(line, kind=SetRow):
     with line.catalogue() as catalogue:
         return catalogue.rows(kind, purpose="confirmation")
 
@@ -86,7 +86,7 @@ def whole(tmp_path_factory):
 
 def test_suspicion_is_answered_at_once_at_its_own_position(whole):
     line = whole
-    first, third = beside(line)
+    first, third = confirmation_rows(line)
     assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
         ("B", AFTER_FIRST, "done"),
         ("B", AFTER_THIRD, "done"),
@@ -101,17 +101,17 @@ def test_suspicion_is_answered_at_once_at_its_own_position(whole):
         (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
         assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
         assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
-        said = confirmation_of(catalogue, "B", FIRST)
+        confirmation = confirmation_of(catalogue, "B", FIRST)
         assert confirmation_of(catalogue, "C") is None
-    assert said.confirms is True
-    assert said.distance_squared > said.limit
+    assert confirmation.confirms is True
+    assert confirmation.distance_squared > confirmation.limit
 
 
 def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
     changes = [row for row in whole.rows("events") if row.position == "B" and row.topic == "alarms"]
     assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
     proven = [row.payload["proof"]["confirmation"] for row in changes]
-    assert [told["set_index"] for told in proven] == [AFTER_FIRST, AFTER_THIRD]
+    assert [confirmation["set_index"] for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
     assert the_alarm(whole).proof["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
 
@@ -124,9 +124,9 @@ def test_a_transducer_that_stays_sick_is_not_asked_every_set(whole):
 def test_a_single_odd_set_is_not_confirmed(line):
     line.script = lambda key: healthy(key, 1.0 * (key.position == "B" and key.set_index == FIRST))
     line.run()
-    (row,) = beside(line)
+    (row,) = confirmation_rows(line)
     assert row.set_index == AFTER_FIRST
-    (assessment,) = beside(line, AssessmentRow)
+    (assessment,) = confirmation_rows(line, AssessmentRow)
     assert (assessment.confirms, assessment.outlier, assessment.in_baseline) == (False, False, False)
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
 
@@ -135,8 +135,8 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
     without, line = line, whole
     without.settings = settings(confirmation_sets_a_day=0)
     without.run()
-    assert beside(line)
-    assert not beside(without)
+    assert confirmation_rows(line)
+    assert not confirmation_rows(without)
 
     def planned(one, table):
         # Causes do remember what a confirmation said.
@@ -160,9 +160,9 @@ def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
 
     ordered_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
     line.run()
-    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
+    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
     asked = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
-    assert [told["author"] for told in asked] == ["", "Ada"]
+    assert [payload["author"] for payload in asked] == ["", "Ada"]
     assert asked[1]["because"] == "what is it?"
 
 
@@ -181,13 +181,13 @@ def test_an_order_that_cannot_be_carried_out_is_refused_with_the_reason(line, at
         (command,) = catalogue.rows(CommandRow)
     assert command.state == "refused"
     assert refused in command.result
-    assert not beside(line)
+    assert not confirmation_rows(line)
 
 
 def test_hands_in_the_rig_end_a_confirmation_set_too(line):
     ordered_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
     line.run()
-    (row,) = beside(line)
+    (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
     assert confirmation_of_b(line).confirms is None
     assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
@@ -210,11 +210,11 @@ def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line):
     assert not line.run(stop=stop, archive=MemoryArchive(line.shelf))
     line.script = sick(*range(FIRST, SETS))
     assert line.run(archive=MemoryArchive(line.shelf))
-    first, _ = beside(line)
+    first, _ = confirmation_rows(line)
     assert first.state == "done"
     again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
     assert again == [("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)]
-    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
+    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
 def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
@@ -229,7 +229,7 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     run(line, stop=stop)
     line.script = with_incident_wave
     run(line)
-    confirmations = [(row.set_index, row.cause) for row in beside(line, AssessmentRow)]
+    confirmations = [(row.set_index, row.cause) for row in confirmation_rows(line, AssessmentRow)]
     assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
     causes = {row.set_index: row.cause for row in line.rows("verdicts") if row.position == "B"}
     assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [UNDETERMINED, COUPLING, COUPLING]
@@ -238,7 +238,7 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     assert alarm.proof["confirmation"]["set_index"] == AFTER_THIRD
     before = table_rows(line.folder)
     assert verify_folder(line.folder).damage == []
-    files = {read_set(line.folder / row.file).set_index for row in beside(line)}
+    files = {read_set(line.folder / row.file).set_index for row in confirmation_rows(line)}
     assert files == {AFTER_FIRST, AFTER_THIRD}
     lose_catalogue(line.folder)
     assert rebuild(line.folder, features_of=line.features_of).warnings == []
@@ -268,20 +268,23 @@ class DyingArchive(MemoryArchive):
 def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
     with pytest.raises(Killed):
         line.run(archive=DyingArchive(line, stored=stored))
-    assert not beside(line)
+    assert not confirmation_rows(line)
     line.run()
     facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
-    told = [[tuple(getattr(row, name) for name in facts) for row in beside(one)] for one in (line, whole)]
-    assert told[0] == told[1]
+    rows = [
+        [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(one)]
+        for one in (line, whole)
+    ]
+    assert rows[0] == rows[1]
     ids = {"id": None, "sequence": None}
-    features = [[replace(row, **ids) for row in beside(one, FeatureRow)] for one in (line, whole)]
+    features = [[replace(row, **ids) for row in confirmation_rows(one, FeatureRow)] for one in (line, whole)]
     assert features[0] == features[1]
 
 
 def test_it_is_not_struck_where_the_next_planned_set_would_wait(line):
     line.settings = settings({"phases": [{"until_h": 0.44, "interval_h": 0.02}]}, {"hours": 0.32})
     line.run()
-    assert not beside(line)
+    assert not confirmation_rows(line)
     assert "confirmation" not in the_alarm(line).proof
 
 
@@ -297,6 +300,6 @@ def test_one_that_a_restart_finds_too_late_is_closed_with_what_it_has(line):
     line.run(stop=stop, archive=MemoryArchive(line.shelf))
     line.script = sick(*range(FIRST, SETS))
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
-    row = beside(line)[0]
+    row = confirmation_rows(line)[0]
     assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
     assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")

@@ -138,11 +138,11 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
     if when == "before it starts":
         raise_in_its_absence(line)
 
-    def tell(event: str, **values: object) -> None:
+    def report(event: str, **values: object) -> None:
         if when == "while it runs" and event == "begun":
             raise_in_its_absence(line)
 
-    assert line.run(tell=tell)
+    assert line.run(tell=report)
     assert events(line) == [("recorder_not_running", "alarm_cleared")]
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
@@ -152,12 +152,12 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
 def test_an_order_finds_the_alarm_that_another_process_raised(tmp_path: Path) -> None:
     line = Line(tmp_path, script=lambda key: None)  # no set has records: the alarm stays
 
-    def tell(event: str, **values: object) -> None:
+    def report(event: str, **values: object) -> None:
         if event == "begun":
             raise_in_its_absence(line)
 
     line.order("acknowledge_alarm", alarm_id=1, note="seen")
-    line.run(tell=tell)
+    line.run(tell=report)
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
     assert (row.id, row.state, row.acknowledged_by) == (1, "acknowledged", "Ada")

@@ -31,12 +31,12 @@ class Opener:
 
     def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
         self.folder, self.catalogue = folder, catalogue
-        self.told: list[tuple[str, str]] = []
+        self.reports: list[tuple[str, str]] = []
         self.heartbeat = Heartbeat(folder, deadline_s=60.0)
         self.stop = threading.Event()
 
     def hear(self, event: str, **values: Any) -> None:
-        self.told.append((event, values.get("why") or values["change"]))
+        self.reports.append((event, values.get("why") or values["change"]))
 
     def open(self, refusals: int, look: Callable[[], None] = lambda: None) -> tuple[Any, str]:
         left = [GONE] * refusals
@@ -84,7 +84,7 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     (row,) = opener.alarms
     assert (row.message, row.proof) == (WHY, {"error": "ConnectionLostError"})
     assert row.state == "returned_unacknowledged"
-    assert opener.told == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
+    assert opener.reports == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
     assert opener.heartbeat.stage == ""
 
 
@@ -92,9 +92,9 @@ def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> Non
     opener.stop.set()
     assert opener.open(9) == (None, f"the recorder waited for the rig: {GONE}")
     opener.stop.clear()
-    opener.told.clear()
+    opener.reports.clear()
     opener.open(2)
-    assert opener.told == [("waits", WHY), ("alarm", "alarm_cleared")]
+    assert opener.reports == [("waits", WHY), ("alarm", "alarm_cleared")]
     assert len(opener.alarms) == 1
 
 
@@ -144,6 +144,6 @@ def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
         MOMENT,
         None,
     )
-    told = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
-    assert told is not None
-    assert look_at_recorder(opener.folder, [told.kind]).word == "stopped"
+    event = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
+    assert event is not None
+    assert look_at_recorder(opener.folder, [event.kind]).word == "stopped"

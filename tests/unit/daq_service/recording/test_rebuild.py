@@ -52,11 +52,11 @@ def made_again(line, **options):
 def test_a_lost_catalogue_comes_again_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
-    told = []
-    made = made_again(line, progress=lambda done, total: told.append((done, total)))
+    calls = []
+    made = made_again(line, progress=lambda done, total: calls.append((done, total)))
     assert table_rows(line.folder) == before
     assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
-    assert told[-1] == (made.sets, made.sets)
+    assert calls[-1] == (made.sets, made.sets)
     assert not (line.folder / BUILDING).exists()
 
 
@@ -144,17 +144,17 @@ def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_a
     # Two poor sets make the condition, 3,000 s are two intervals; the first good set is 8.
     (alarm,) = line.alarms()
     assert (alarm.kind, alarm.raised_set_index, alarm.state) == ("no_data", 5, "returned_unacknowledged")
-    told = [
+    events = [
         (event.kind, event.set_index)
         for event in line.rows("events")
         if event.topic == "alarms" and event.payload.get("kind") != NOT_ASSESSED
     ]
-    assert told == [
+    assert events == [
         *[("alarm_delay", 3), ("alarm_delay", 5), ("alarm_raised", 5)],
         *[("alarm_delay", 8), ("alarm_delay", 10), ("alarm_cleared", 10)],
     ]
-    for beside in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
-        lose_catalogue(line.folder, *beside)
+    for files in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
+        lose_catalogue(line.folder, *files)
         assert made_again(line).warnings == []
         assert line.rows("alarms") == before
 
@@ -207,8 +207,10 @@ def test_a_set_without_its_file_keeps_its_rows(line):
 
 
 def test_a_replaced_file_causes_a_warning(line):
-    told = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
-    digests = {item["row"]["file"]: item["row"]["file_sha256"] for item in told if item["table"] == "files"}
+    entries = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
+    digests = {
+        item["row"]["file"]: item["row"]["file_sha256"] for item in entries if item["table"] == "files"
+    }
     digest = digests[f"sets/{set_files(line.folder)[1].name}"]
     lose_catalogue(line.folder)
     file = set_files(line.folder)[1]
@@ -227,7 +229,9 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     file.write_bytes(build_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)
     warnings = made_again(line).warnings
-    assert any("set 1, its file: features" in told and "in the file 1.0" in told for told in warnings)
+    assert any(
+        "set 1, its file: features" in warning and "in the file 1.0" in warning for warning in warnings
+    )
     assert table_rows(line.folder)["features"] == before["features"]
 
 
@@ -277,7 +281,7 @@ def test_a_set_with_another_hour_0_is_rejected_in_each_format(line):
     with open_catalogue(line.folder) as catalogue:
         experiment = catalogue.experiment_row()
     record = read_set(set_files(line.folder)[0])
-    older = {name: told for name, told in record.provenance.items() if name != "experiment"}
+    older = {name: value for name, value in record.provenance.items() if name != "experiment"}
     assert foreign_reason(record, experiment) == ""
     assert foreign_reason(replace(record, provenance=older), experiment) == ""
     later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)

@@ -36,7 +36,7 @@ def causes(line, position):
     return [row.cause for row in line.rows("sets", position)]
 
 
-def told(line, kind):
+def events_of(line, kind):
     return [row for row in line.rows("events") if row.kind == kind]
 
 
@@ -298,7 +298,7 @@ def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
     assert alarms["disk_space"].severity == "high"
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
-    assert [row.payload["level"] for row in told(line, "disk_space")] == ["stop", "ample"]
+    assert [row.payload["level"] for row in events_of(line, "disk_space")] == ["stop", "ample"]
     assert any(
         "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
         for doing in line.heartbeat.told
@@ -325,7 +325,7 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
 )
 def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, whole, free_gb, level, alarms):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
-    assert [row.payload["level"] for row in told(line, "disk_space")] == [level, "ample"]
+    assert [row.payload["level"] for row in events_of(line, "disk_space")] == [level, "ample"]
     assert [(row.kind, row.severity) for row in line.alarms()] == alarms
     assert_same_rows(line, whole)
 
@@ -486,8 +486,8 @@ def failing_at(*keys):
 def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
     for index in (0, 1):  # nothing is proven by the next start either
         line.script = failing_at(ShotKey(position="C", set_index=index, shot_index=2))
-        told = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
-        with pytest.raises(RigError, match=told):
+        message = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
+        with pytest.raises(RigError, match=message):
             line.run()
     assert states(line, "C") == ["partial"] * 2
     assert causes(line, "C")[0] == "no such channel"
@@ -583,7 +583,7 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     """A kill costs the shot in the air."""
     line.settings = memory_settings(clock={"kind": "wall"})
     killed_at = ShotKey(position="B", set_index=0, shot_index=2)
-    told = []
+    sequences = []
 
     def script(key):
         if key == killed_at:
@@ -592,20 +592,20 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
     line.script = script
     with pytest.raises(Killed):
-        line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
+        line.run(archive=MemoryArchive(line.shelf), acknowledged=sequences.append)
     (opened,) = line.shelf.open.values()
-    assert [item.sequence for item in opened.records] == told == [1, 2, 3]
+    assert [item.sequence for item in opened.records] == sequences == [1, 2, 3]
     line.script = healthy
-    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
-    assert told == sorted(set(told))
-    assert len(told) == len(line.rows("shots"))
+    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=sequences.append)
+    assert sequences == sorted(set(sequences))
+    assert len(sequences) == len(line.rows("shots"))
     assert states(line, "B") == ["done"] * SETS
 
 
 def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
     """A set of the paper takes two minutes: nobody should wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
-    archive, told = MemoryArchive(line.shelf), []
+    archive, strikes = MemoryArchive(line.shelf), []
     sync, refusals = archive.sync, iter([True] * 4)
 
     def refusing():
@@ -614,12 +614,12 @@ def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
         return sync()
 
     def script(key):
-        told.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        strikes.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
         return healthy(key)
 
     archive.sync, line.script = refusing, script
     assert line.run(archive=archive, mono_s=Seconds())
-    (struck,) = next(doing for position, shot_index, doing in told if (position, shot_index) == ("B", 1))
+    (struck,) = next(doing for position, shot_index, doing in strikes if (position, shot_index) == ("B", 1))
     assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert alarm.state == "returned_unacknowledged"
@@ -718,21 +718,25 @@ def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
     line.run(dry_run=True)
     assert [row for row in line.rows("alarms") if row.position in TRANSDUCERS] == []
     assert {strike[3] for strike in line.instruments[0].struck} == {0}
-    assert told(line, "recorder_started")[0].payload["dry_run"] is True
+    assert events_of(line, "recorder_started")[0].payload["dry_run"] is True
     assert {tuple(shot.flags) for shot in line.rows("shots", "B")} == {("dry_run",)}
 
 
 def test_the_heartbeat_names_each_activity(line):
     line.run()
-    begun = line.heartbeat.told
-    assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
+    activities = line.heartbeat.told
+    assert (
+        activities.index("taking set 1")
+        < activities.index("storing set 1")
+        < activities.index("taking set 2")
+    )
 
 
 def test_a_recorder_that_waits_gives_signs_of_life(line):
     line.run()
-    told = line.heartbeat.told
+    activities = line.heartbeat.told
     waits = [f"waiting for set {index}" for index in range(SETS)]
-    assert [doing for doing in dict.fromkeys(told) if doing in waits] == waits
+    assert [doing for doing in dict.fromkeys(activities) if doing in waits] == waits
 
 
 class Calibrated:
@@ -753,13 +757,13 @@ def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, ti
     boards = Calibrated()
     line.run(self_calibrating=boards, self_calibration_interval_h=interval_h)
     assert boards.count == times
-    assert len(told(line, "self_calibrated")) == times
+    assert len(events_of(line, "self_calibrated")) == times
 
 
 def test_a_failed_self_calibration_is_reported_and_ends_the_test_only_if_permanent(line):
     boards = Calibrated(BusyError("MAX holds the board"))
     line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
-    assert told(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
+    assert events_of(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
     assert states(line, "B") == ["done"] * SETS
 
 

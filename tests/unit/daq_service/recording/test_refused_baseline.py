@@ -47,9 +47,9 @@ def test_it_is_not_approved_and_says_what_helps(line):
 
 
 def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
-    for told in line.seen.values():
-        assert (told["state"], told["last_verdict"]["reason"]) == ("not_judged", REASON)
-        assert told["baseline"]["limit_reason"] == REASON
+    for status in line.seen.values():
+        assert (status["state"], status["last_verdict"]["reason"]) == ("not_judged", REASON)
+        assert status["baseline"]["limit_reason"] == REASON
     assert line.seen.keys() == {"approve_baseline", "confirm", "renew_baseline"}
 
 
@@ -66,7 +66,7 @@ def test_an_alarm_says_so_until_it_is_retired(line):
     assert (row.position, row.kind, row.severity, row.raised_set_index) == ("B", "not_judged", "medium", LAST)
     assert row.message == f"nothing is judged at B: {REASON}"
     history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
-    assert [(told["kind"], told["who"], told["why"]) for told in history] == [
+    assert [(event["kind"], event["who"], event["why"]) for event in history] == [
         ("alarm_raised", None, row.message),
         ("alarm_reset", "Ada", "its baseline was retired: a hold"),
     ]

@@ -280,12 +280,12 @@ def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
 def ended_after(position, set_index, stop, script, last_shot=3):
     """A script that has the recorder stopped at the last strike of a transducer in a set."""
 
-    def told(key):
+    def stopping_script(key):
         if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
             stop.set()
         return script(key)
 
-    return told
+    return stopping_script
 
 
 def run_until(line, position, set_index, script):
@@ -436,11 +436,11 @@ def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
     line.script = hole_at_c_and_nothing_once_at_d
     news = []
 
-    def tell(event, **values):
+    def report(event, **values):
         if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
             news.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
 
-    line.run(tell=tell)
+    line.run(tell=report)
     gap, alarm = news
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])

@@ -62,7 +62,7 @@ class Laboratory:
         with pytest.raises(Killed):
             self.run()
 
-    def told(self, kind: str) -> list[dict]:
+    def event_payloads(self, kind: str) -> list[dict]:
         """Payloads of the events of a kind, in order."""
         return [row.payload for row in self.line.rows("events") if row.kind == kind]
 
@@ -113,7 +113,7 @@ def test_a_step_moves_no_set_and_is_one_event(laboratory, by_h):
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    (step,) = laboratory.told("clock_step")
+    (step,) = laboratory.event_payloads("clock_step")
     assert step["step_s"] == by_h * 3600.0
     assert step["system_utc_ns"] - step["experiment_utc_ns"] == by_h * NS_PER_H
 
@@ -131,15 +131,15 @@ def test_400_h_for_6_s_cost_nothing(laboratory, in_a_set):
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    assert [step["step_s"] for step in laboratory.told("clock_step")] == [1.44e6, -1.44e6]
-    assert [step["ahead_s"] for step in laboratory.told("clock_step")] == [1.44e6, 0.0]
+    assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, -1.44e6]
+    assert [step["ahead_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, 0.0]
 
 
 def test_a_drift_is_followed_and_no_step(laboratory):
     laboratory.machine.drift_ppm = 100
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == []
+    assert laboratory.event_payloads("clock_step") == []
     assert laboratory.clock.utc_ns() == laboratory.machine.utc_ns
 
 
@@ -152,7 +152,7 @@ def test_a_step_while_no_recorder_ran_is_found_by_the_next_one(laboratory, by_h)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    assert [step["step_s"] for step in laboratory.told("clock_step")] == [by_h * 3600.0]
+    assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [by_h * 3600.0]
 
 
 def test_sets_due_while_no_recorder_ran_on_a_stepped_clock_have_their_cause(laboratory):
@@ -182,8 +182,8 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     (alarm,) = laboratory.line.alarms()
     assert (alarm.kind, alarm.family, alarm.state) == ("clock_doubted", "device", "returned_unacknowledged")
     assert "is before what was stored last (2024-01-01T0" in alarm.message
-    assert laboratory.told("clock_step") == []
-    assert [told["ahead_s"] for told in laboratory.told("clock_believed")] == [0.0]
+    assert laboratory.event_payloads("clock_step") == []
+    assert [payload["ahead_s"] for payload in laboratory.event_payloads("clock_believed")] == [0.0]
 
 
 def test_sets_that_went_by_while_the_clock_was_waited_for_say_so(laboratory):
@@ -257,8 +257,8 @@ def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_
     laboratory.machine.sleep(60.0)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == []
-    (believed,) = laboratory.told("clock_believed")
+    assert laboratory.event_payloads("clock_step") == []
+    (believed,) = laboratory.event_payloads("clock_believed")
     assert believed["ahead_s"] == pytest.approx(-14 * 365.25 * 86400, rel=0.01)
 
 
@@ -270,7 +270,7 @@ def test_a_recorder_killed_while_it_doubts_leaves_no_time_to_go_on_with(laborato
     laboratory.machine.utc_ns = true_ns + 6 * 60 * NS_PER_S
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == laboratory.told("clock_believed") == []
+    assert laboratory.event_payloads("clock_step") == laboratory.event_payloads("clock_believed") == []
     assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
@@ -293,7 +293,7 @@ def test_sets_that_a_sleeping_computer_missed_say_so(laboratory):
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4])
     assert laboratory.line.rows("sets", "B")[4].cause == OVERSLEPT
-    assert laboratory.told("clock_step") == []
+    assert laboratory.event_payloads("clock_step") == []
 
 
 def test_no_strike_of_a_set_is_early_or_late_for_a_step_within_it(laboratory):

@@ -71,7 +71,7 @@ def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
 
 def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tuple[str, str]]:
     """Run a line in real time on the manager's machine; every event that it told, with what it did."""
-    machine, told, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
+    machine, events, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
 
     def script(key: ShotKey):
         manager.hear()
@@ -82,38 +82,38 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
             manager.hear()  # whatever was sent meanwhile counts as sent now
         return healthy(key)
 
-    def tell(event: str, **values: object) -> None:
-        told.append((event, str(values.get("doing", ""))))
+    def report(event: str, **values: object) -> None:
+        events.append((event, str(values.get("doing", ""))))
 
     settings = memory_settings(
         clock={"kind": "wall"}, schedule={"phases": [{"until_h": 1.0, "interval_h": 0.5}]}
     )
     clock = machine.clock()
-    with service_manager_notifications(tell) as told_too:
+    with service_manager_notifications(report) as report_and_notify:
         heartbeat = Heartbeat(
             folder,
             deadline_s=DEADLINE_S,
-            tell=told_too,
+            tell=report_and_notify,
             mono_ns=lambda: machine.elapsed_ns,
             boot=lambda: "it",
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")
-        assert line.run(clock=clock, tell=told_too)
+        assert line.run(clock=clock, tell=report_and_notify)
         manager.hear()
     manager.hear()
-    return told
+    return events
 
 
 def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> None:
-    told = run(manager, tmp_path)
-    beats = [doing for event, doing in told if event == "beat"]
-    (_, opening), (_, begun), *later, (_, stopping) = manager.heard
+    events = run(manager, tmp_path)
+    beats = [doing for event, doing in events if event == "beat"]
+    (_, opening), (_, ready), *later, (_, stopping) = manager.heard
     lasts = f"EXTEND_TIMEOUT_USEC={DEADLINE_S * 1e6:.0f}"
     assert opening == ["WATCHDOG=1", lasts, "STATUS=opening the rig"], (
         "not ready yet, and it may take its time"
     )
-    assert begun == ["READY=1"]
+    assert ready == ["READY=1"]
     assert [lines for _, lines in later] == [
         ["READY=1", "WATCHDOG=1", lasts, f"STATUS={doing}"] for doing in beats[1:]
     ]
@@ -144,8 +144,8 @@ def test_the_activity_is_sent_in_one_line() -> None:
     sent: list[tuple[str, ...]] = []
     with service_manager_notifications(
         lambda event, **values: None, lambda *lines: sent.append(lines)
-    ) as tell:
-        tell("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
+    ) as report:
+        report("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
     assert sent[0] == (
         "WATCHDOG=1",
         "EXTEND_TIMEOUT_USEC=1500000",

@@ -15,8 +15,8 @@ DUTY = {"url": "https://alarms.example.org/hook", "secret_file": "duty.secret"}
 HIDDEN = "correct-horse-battery-staple"
 
 
-def settings(path: Path, receiver: dict[str, Any], **beside: Any) -> Settings:
-    values = {"notifications": {"receivers": {"duty": receiver}, **beside}}
+def settings(path: Path, receiver: dict[str, Any], **others: Any) -> Settings:
+    values = {"notifications": {"receivers": {"duty": receiver}, **others}}
     return checked_settings(values, path / "test.toml")
 
 
@@ -32,7 +32,7 @@ def test_receivers_do_not_change_the_configuration_hash(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"url": "http://alarms.example.org/hook"}, "http:// to alarms.example.org.*plain_http = true"),
         ({"url": f"https://ann:{HIDDEN}@alarms.example.org/"}, "holds a name or a password; take them out"),
@@ -53,8 +53,8 @@ def test_receivers_do_not_change_the_configuration_hash(tmp_path):
         ({"heartbeat_s": 1.0}, "greater than or equal to 10"),
     ],
 )
-def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(changed, told, tmp_path):
-    with pytest.raises(UsageError, match=told) as refusal:
+def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(changed, message, tmp_path):
+    with pytest.raises(UsageError, match=message) as refusal:
         settings(tmp_path, DUTY | changed)
     assert HIDDEN not in str(refusal.value)
 
@@ -74,13 +74,13 @@ def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_un
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "message"),
     [
         ({"receivers": ["night"]}, "rule 1 names the receiver 'night'; there are duty"),
         ({"positions": ["Z"]}, "there is no position 'Z'; the positions are A, B, C, D"),
         ({"severity": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
     ],
 )
-def test_a_rule_names_what_there_is(rule, told, tmp_path):
-    with pytest.raises(UsageError, match=told):
+def test_a_rule_names_what_there_is(rule, message, tmp_path):
+    with pytest.raises(UsageError, match=message):
         settings(tmp_path, DUTY, rules=[rule])

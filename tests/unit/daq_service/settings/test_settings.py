@@ -186,7 +186,7 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kinds", "told"),
+    ("kinds", "message"),
     [
         ({"hole": {"on_delay_s": 60.0}}, r"'hole' has neither delays nor .*these have: wall_change"),
         ({"supply_lost": {"on_delay_s": 60.0}}, r"supply_lost.on_delay_s is 60 s; .*at most 10 s"),
@@ -198,8 +198,10 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
         ({"thickness": {"dead_band_m": 1e-4}}, r"thickness.dead_band_m: unknown key; did you mean dead"),
     ],
 )
-def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(kinds, told, tmp_path) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
+    kinds, message, tmp_path
+) -> None:
+    with pytest.raises(UsageError, match=message):
         checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
 
 

@@ -59,13 +59,17 @@ def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path)
 
 def test_the_receivers_of_alarms_may_change_between_starts() -> None:
     duty = {"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET"}
-    told = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
+    with_receivers = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
     other = Settings(notifications={"receivers": {"night": duty}, "rules": [{"receivers": ["night"]}]})
     before = kept()
     del before["notifications"]
-    for stored_, given in ((kept(), told), (before, told), (told.model_dump(mode="json"), other)):
+    for stored_, given in (
+        (kept(), with_receivers),
+        (before, with_receivers),
+        (with_receivers.model_dump(mode="json"), other),
+    ):
         assert differences(stored_, given) == []
-    assert differences(told.model_dump(mode="json"), NOW) == []
+    assert differences(with_receivers.model_dump(mode="json"), NOW) == []
 
 
 def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:

@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=["one test", "several tests"])
-def told(request, folder, tmp_path_factory):
+def families(request, folder, tmp_path_factory):
     """What a service of one test tells, and one of this and its copy: families of metrics."""
     below = [""]
     if request.param == "one test":
@@ -62,9 +62,9 @@ def told(request, folder, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def label_sets(told):
+def label_sets(families):
     found = {}
-    for family in told:
+    for family in families:
         for sample in family.samples:
             found.setdefault(sample.name, []).append(sample.labels)
     return found
@@ -125,18 +125,21 @@ def test_every_rule_and_the_variables_find_theirs_too(expression, label_sets):
 
 
 @pytest.mark.parametrize("expression", [*(expression for _, expression, _ in TARGETS), *RULES])
-def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, told):
+def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, families):
     growing = {
-        sample.name for family in told if family.type in ("counter", "histogram") for sample in family.samples
+        sample.name
+        for family in families
+        if family.type in ("counter", "histogram")
+        for sample in family.samples
     }
     for name, _, over in selectors(expression):
         assert (name in growing) is (over is not None), name
 
 
-def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(told):
+def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(families):
     """The parser itself refuses what OpenMetrics forbids; this is what it leaves to us."""
-    assert {family.type for family in told} <= {"gauge", "counter", "info", "histogram"}
-    for family in told:
+    assert {family.type for family in families} <= {"gauge", "counter", "info", "histogram"}
+    for family in families:
         assert family.name == "solimon" or family.name.startswith("solimon_")
         assert family.documentation
         # Prometheus wants base units, as whole words.

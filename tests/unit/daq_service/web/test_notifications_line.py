@@ -60,7 +60,7 @@ def test_an_alarm_message_has_units_age_quality_and_guidance(made):
 
 
 @pytest.mark.parametrize(
-    ("rule", "is_told"),
+    ("rule", "is_sent"),
     [
         ({"severity": "critical"}, False),
         ({"severity": "high"}, True),
@@ -72,11 +72,11 @@ def test_an_alarm_message_has_units_age_quality_and_guidance(made):
         ({"rules": [AT_ONCE | {"kinds": ["hole"]}, AT_ONCE]}, True),
     ],
 )
-def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_told, made):
+def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_sent, made):
     bench = made(**rule)
     bench.alarms.change()
-    assert bool(bench.run()) == is_told
-    assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_told else "passed"]
+    assert bool(bench.run()) == is_sent
+    assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_sent else "passed"]
 
 
 def test_each_automatic_state_change_of_an_alarm_is_sent(made):
@@ -85,8 +85,8 @@ def test_each_automatic_state_change_of_an_alarm_is_sent(made):
         bench.alarms.change(severity=severity, present=present)
     bench.alarms.change("hole", latched=True)
     bench.alarms.reset("hole")
-    told = [change for message in bench.run(1.0) for _, change in changes(message)]
-    assert told == ["raised", "worse", "over", "back", "raised", "over"]
+    sent_changes = [change for message in bench.run(1.0) for _, change in changes(message)]
+    assert sent_changes == ["raised", "worse", "over", "back", "raised", "over"]
 
 
 def test_the_return_to_normal_is_not_sent_if_not_configured(made):
@@ -116,8 +116,8 @@ def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(made)
     assert len(bench.run(61.0)) == 1
     bench.alarms.change(severity="high")
     bench.alarms.change(severity="high", present=False)
-    told = [change for message in bench.run(120.0) for _, change in changes(message)]
-    assert told == ["over", "worse"]
+    sent_changes = [change for message in bench.run(120.0) for _, change in changes(message)]
+    assert sent_changes == ["over", "worse"]
 
 
 def test_a_storm_is_one_message_with_its_counts(made):
@@ -160,8 +160,8 @@ def test_a_restart_neither_loses_nor_repeats(made):
     bench.run(50.0)
     bench.restarted()
     bench.run(200.0)
-    told = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
-    assert told == [goes, while_away, waits]
+    event_ids = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
+    assert event_ids == [goes, while_away, waits]
     assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
@@ -219,7 +219,7 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
         by_key = {
             message.key: [item["event_id"] for item in message.facts["alarms"]] for message in bench.sent
         }
-        assert sorted(event_id for told in by_key.values() for event_id in told) == wanted
+        assert sorted(event_id for event_ids in by_key.values() for event_id in event_ids) == wanted
         assert len(bench.sent) - len(by_key) <= 1
         bench.alarms.catalogue.close()
         at += 1
@@ -333,8 +333,8 @@ def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(mad
     bench.run(100.0)
     assert bench.line.state.waiting == 21
     bench.run(900.0, at_least_s=1.0)
-    told = [event_id for line in bench.told("sent") for event_id in line.event_ids]
-    assert sorted(told) == list(range(1, 51))
+    event_ids = [event_id for line in bench.told("sent") for event_id in line.event_ids]
+    assert sorted(event_ids) == list(range(1, 51))
 
 
 # Signs of life

@@ -30,14 +30,14 @@ def receiver(monkeypatch):
         yield running
 
 
-def told_at_once(receiver, **beside):
-    duty = {"url": f"{receiver.url}/T0K3N", "secret_env": "DUTY_SECRET", **beside}
+def immediate_settings(receiver, **options):
+    duty = {"url": f"{receiver.url}/T0K3N", "secret_env": "DUTY_SECRET", **options}
     return notifying({"duty": duty}, rules=[{"group_s": 0.0}])
 
 
 @pytest.fixture
 def filled(tmp_path, receiver):
-    folder = FilledFolder(tmp_path, told_at_once(receiver))
+    folder = FilledFolder(tmp_path, immediate_settings(receiver))
     folder.add_set(0, stored=False)
     yield folder
     folder.close()
@@ -65,7 +65,7 @@ def duty(client):
     return found
 
 
-def begun(client):
+def wait_for_start(client):
     return until(lambda: duty(client)["began"], "the receiver's line")
 
 
@@ -75,7 +75,7 @@ def events_of(message):
 
 def test_an_alarm_is_sent_with_its_quality_and_the_api_lists_the_delivery(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        assert "begins at the present" in begun(client)
+        assert "begins at the present" in wait_for_start(client)
         event_id = raise_alarm(filled, "wall_change")
         message = receiver.next().message
         assert (events_of(message), message["alarms"][0]["quality"]) == ([event_id], "good")
@@ -96,15 +96,15 @@ def test_neither_secret_nor_path_is_exposed(filled, receiver, caplog):
     caplog.set_level("DEBUG", logger="daq_service")
     receiver.answers.put((500, {}))
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        begun(client)
+        wait_for_start(client)
         raise_alarm(filled, "hole")
         until(lambda: duty(client)["failed"], "a failure")
-        told = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
-        told.append(client.post(f"{STATE}/duty/test", json={}).text)
-        told.append(client.get("/api/v1/audit").text)
-    told += [caplog.text, (filled.folder / LOG_FILE).read_text(encoding="utf-8")]
-    assert [text for text in told if SECRET in text or "T0K3N" in text] == []
-    assert duty_address(told[0]) == receiver.url.removesuffix("/hook")
+        texts = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
+        texts.append(client.post(f"{STATE}/duty/test", json={}).text)
+        texts.append(client.get("/api/v1/audit").text)
+    texts += [caplog.text, (filled.folder / LOG_FILE).read_text(encoding="utf-8")]
+    assert [text for text in texts if SECRET in text or "T0K3N" in text] == []
+    assert duty_address(texts[0]) == receiver.url.removesuffix("/hook")
 
 
 def duty_address(text):
@@ -129,9 +129,9 @@ def test_a_backup_sends_no_notifications(filled, receiver):
     """Its signs of life would hide that the test's own service is gone."""
     (filled.folder / BACKUP_FILE).write_bytes(b"{}")
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        told = client.get(STATE).json()
-        assert (told["sending"], told["receivers"][0]["began"]) == (False, "")
-        assert told["why_silent"] == "this is a backup; the test's own folder tells"
+        state = client.get(STATE).json()
+        assert (state["sending"], state["receivers"][0]["began"]) == (False, "")
+        assert state["why_silent"] == "this is a backup; the test's own folder tells"
     assert not (filled.folder / LOG_FILE).exists()
 
 
@@ -154,10 +154,10 @@ def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, recei
         raise_alarm(filled, "hole")
         deaf.next()
         raise_alarm(filled, "no_data")
-        told: list[str] = []
-        while len(told) < 2:  # one message, if both were there when its line looked
-            told += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
-        assert told == ["hole", "no_data"]
+        kinds: list[str] = []
+        while len(kinds) < 2:  # one message, if both were there when its line looked
+            kinds += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
+        assert kinds == ["hole", "no_data"]
         quick = [client.get("/healthz").status_code for _ in range(20)]
         assert quick == [200] * 20
         service.stop.set()
@@ -169,18 +169,18 @@ def test_a_second_service_of_a_test_sends_nothing_until_the_first_has_ended(fill
     monkeypatch.setattr("daq_service.processes.notifications.service.TROUBLE_PAUSE_S", 0.05)
     with ExitStack() as stack:
         first = stack.enter_context(served(filled.settings, filled.folder))
-        begun(stack.enter_context(first.client()))
+        wait_for_start(stack.enter_context(first.client()))
         second = stack.enter_context(served(filled.settings, filled.folder))
         client = stack.enter_context(second.client())
         waits = until(
-            lambda: "another" in (told := client.get(STATE).json())["why_silent"] and told, "its look"
+            lambda: "another" in (state := client.get(STATE).json())["why_silent"] and state, "its look"
         )
         assert waits["sending"] is False
         raise_alarm(filled, "hole")
         receiver.next()
         first.stop.set()
         ended(first.thread, "the first service")
-        begun(client)
+        wait_for_start(client)
         event_id = raise_alarm(filled, "no_data")
         assert events_of(receiver.next().message) == [event_id]
     assert receiver.got.empty()

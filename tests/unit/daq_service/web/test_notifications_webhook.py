@@ -37,8 +37,8 @@ def receiver():
         yield running
 
 
-def sent(receiver, **beside):
-    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **beside)
+def sent(receiver, **options):
+    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **options)
 
 
 def is_genuine(secret: str, header: str, body: bytes) -> bool:
@@ -63,7 +63,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 
 
 @pytest.mark.parametrize(
-    ("status", "headers", "told", "refused", "retry_after_s"),
+    ("status", "headers", "message", "refused", "retry_after_s"),
     [
         (200, {}, "taken (200)", False, 0.0),
         (500, {}, "the receiver answers 500 Internal Server Error", False, 0.0),
@@ -74,10 +74,10 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
         (429, {"Retry-After": "soon"}, "429 Too Many Requests", False, 0.0),
     ],
 )
-def test_an_answer_says_what_became_of_it(status, headers, told, refused, retry_after_s, receiver):
+def test_an_answer_says_what_became_of_it(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
     outcome = sent(receiver, now_s=lambda: 1_000_000.0)
-    assert told in outcome.told
+    assert message in outcome.told
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
 
@@ -180,7 +180,7 @@ def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "held", "told"),
+    ("given", "held", "message"),
     [
         ({}, {}, "the variable DUTY_SECRET of secret_env is not set"),
         ({}, {"DUTY_SECRET": "hush"}, "the secret has 4 characters; give one of 16 or more"),
@@ -202,8 +202,8 @@ def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
         ),
     ],
 )
-def test_an_invalid_receiver_is_reported_without_its_secret(given, held, told):
-    with pytest.raises(UsageError, match=told) as refusal:
+def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message):
+    with pytest.raises(UsageError, match=message) as refusal:
         address_of("duty", webhook(**given), held)
     assert SECRET not in str(refusal.value)
     assert str(refusal.value).startswith("notifications.receivers.duty: ")

@@ -44,10 +44,10 @@ def test_every_file_is_served_with_its_type(api, name):
 
 def test_the_page_names_every_module_that_it_needs_at_once():
     first, later = assets()["index.html"].content.split(b'<template id="later">')
-    told = [name.decode() for name in PRELOADED.findall(first + later)]
-    assert len(told) == len(set(told))
+    names = [name.decode() for name in PRELOADED.findall(first + later)]
+    assert len(names) == len(set(names))
     assert len(PRELOADED.findall(first)) < 10, "what the tiles need, and no more"
-    assert set(told) == {name for name in TEXT if name.endswith(".js")} - OF_OTHER_PAGES
+    assert set(names) == {name for name in TEXT if name.endswith(".js")} - OF_OTHER_PAGES
 
 
 @pytest.mark.parametrize("accepted", ["gzip, br", "identity"])

@@ -197,12 +197,12 @@ def test_a_token_is_never_exposed(filled, tokens, caplog):
         ]
     assert [answer.status_code for answer in answers] == [401, 401, 401, 401, 422, 401]
     ours = [record for record in caplog.records if not record.name.startswith(("httpx", "httpcore"))]
-    told = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
-    told += "".join(record.getMessage() for record in ours)
+    output = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
+    output += "".join(record.getMessage() for record in ours)
     for path in filled.folder.rglob("*.json*"):
-        told += path.read_text(encoding="utf-8")
-    assert text not in told
-    assert wrong not in told
+        output += path.read_text(encoding="utf-8")
+    assert text not in output
+    assert wrong not in output
 
 
 def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
@@ -281,8 +281,8 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
         assert "sha256" not in api.get("/api/v1/tokens").text
         first = api.get("/api/v1/audit?limit=1").json()
         rest = api.get("/api/v1/audit", params={"limit": 99, "cursor": first["next_cursor"]}).json()
-    told = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
-    assert told == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
+    entries = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
+    assert entries == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
 
 
 # Others than this machine

@@ -56,15 +56,15 @@ def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
     again.close()
 
 
-@pytest.mark.parametrize("said", [True, False])
-def test_other_orders_are_refused_with_what_would_help(ended, said):
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_orders_are_refused_with_what_would_help(ended, finished):
     filled, api = ended
-    if not said:  # killed: nothing tells that it has ended but the lock
+    if not finished:  # killed: nothing tells that it has ended but the lock
         again = FilledFolder(filled.folder, filled.settings, begun=True)
         again.say("recorder_started")
         again.close()
     body = ordered(api, "hold", note="door open").json()
-    why = "The recorder has finished" if said else "Nobody records this test"
+    why = "The recorder has finished" if finished else "Nobody records this test"
     assert (body["status"], body["detail"]) == (409, f"{why}: nobody would carry this out.")
     assert "solimon run" in body["hint"]
     assert api.get("/api/v1/commands/1").status_code == 404
@@ -102,8 +102,8 @@ def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
     _, api = ended
     assert shelve(api).json()["state"] == "done"
     alarm = api.get("/api/v1/alarms/1").json()
-    told = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
-    assert told == ("unacknowledged", "shelved", "Ada")
+    state = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
+    assert state == ("unacknowledged", "shelved", "Ada")
     assert alarm["shelved_until_utc"] == "2024-01-01T09:00:00Z"
     place = api.get("/api/v1/transducers/B").json()
     assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "shelved")

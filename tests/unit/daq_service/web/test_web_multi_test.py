@@ -218,8 +218,8 @@ def test_an_unreadable_folder_is_listed_with_its_remedy_and_disturbs_no_other(tm
         shutil.copytree(several.twin.folder, folder)
         (folder / "experiment.json").unlink(missing_ok=True)
     (damaged / "catalogue.sqlite").write_bytes(b"no database at all" * 1000)
-    for beside in ("-wal", "-shm"):
-        (damaged / f"catalogue.sqlite{beside}").unlink(missing_ok=True)
+    for suffix in ("-wal", "-shm"):
+        (damaged / f"catalogue.sqlite{suffix}").unlink(missing_ok=True)
     database = sqlite3.connect(other / "catalogue.sqlite")
     database.execute("UPDATE alembic_version SET version_num = '9999'")
     database.commit()

@@ -25,13 +25,13 @@ def filled(tmp_path):
     folder.close()
 
 
-def without_ages(told):
+def without_ages(data):
     """Drop what grows between two answers."""
-    if isinstance(told, list):
-        return [without_ages(one) for one in told]
-    if not isinstance(told, dict):
-        return told
-    return {key: without_ages(value) for key, value in told.items() if key not in {"as_of", "age_h", "stale"}}
+    if isinstance(data, list):
+        return [without_ages(one) for one in data]
+    if not isinstance(data, dict):
+        return data
+    return {key: without_ages(value) for key, value in data.items() if key not in {"as_of", "age_h", "stale"}}
 
 
 def test_the_page_embeds_api_responses_with_any_characters(filled):

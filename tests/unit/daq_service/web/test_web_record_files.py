@@ -136,7 +136,7 @@ def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "said"),
+    ("asked", "status", "message"),
     [
         ("X", 404, "The positions are A, B, C, D"),
         ("B?first_set=3&last_set=3", 404, "is stored in these sets"),
@@ -147,10 +147,10 @@ def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
         ("B?last_set=-1", 422, "last_set"),
     ],
 )
-def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, said):
+def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, message):
     answer = api.get(f"/api/v1/waveforms/{asked}")
     assert answer.status_code == status
-    assert said in answer.text
+    assert message in answer.text
 
 
 def test_what_is_too_much_is_refused_with_the_limit_and_what_helps(api, filled, monkeypatch):

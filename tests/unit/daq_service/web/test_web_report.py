@@ -88,11 +88,11 @@ class Page(HTMLParser):
         self.feed(content.decode())
 
     def handle_starttag(self, tag, attrs):
-        told = dict(attrs)
+        attributes = dict(attrs)
         self._tag = tag
-        self.ids += [told["id"]] if "id" in told else []
+        self.ids += [attributes["id"]] if "id" in attributes else []
         self.loaded += [value for name, value in attrs if name in ("src", "data", "srcset")]
-        href = told.get("href") or told.get("xlink:href") or "#"
+        href = attributes.get("href") or attributes.get("xlink:href") or "#"
         self.loaded += [] if href.startswith("#") else [href]
         if tag in ("script", "link", "iframe"):
             self.loaded.append(tag)
@@ -169,9 +169,9 @@ def test_the_report_describes_the_configured_alarm_rule():
 
 
 def test_each_figure_shows_each_set_where_it_belongs(filled):
-    told = read_contents(filled.folder)
+    report_contents = read_contents(filled.folder)
     with client.open(filled.folder) as test:
-        for place in told.places:
+        for place in report_contents.places:
             columns = {
                 "A": [("thickness_m", test.thickness("A"))],
             }.get(
@@ -182,7 +182,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                     ("distance_squared", test.assessments(place.name)),
                 ],
             )
-            svg = ElementTree.fromstring(figure_of(told, place))
+            svg = ElementTree.fromstring(figure_of(report_contents, place))
             groups = {group.get("id"): group for group in svg.iter("{http://www.w3.org/2000/svg}g")}
             for name, table in columns:
                 drawn = [
@@ -245,9 +245,9 @@ def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypat
         return reading.thickness_m - 1e-5, reading.thickness_m + 2e-5
 
     monkeypatch.setattr(contents, "thickness_interval_m", interval_m)
-    told = Page(report_page(filled.folder, from_h=27.0))
+    later_page = Page(report_page(filled.folder, from_h=27.0))
     low, high = interval_m(newest)
-    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in told.words
+    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in later_page.words
 
 
 def test_some_hours_are_chosen(filled, tmp_path):
@@ -267,20 +267,20 @@ def test_some_hours_are_chosen(filled, tmp_path):
 def test_a_configuration_leads_to_its_folder(filled, tmp_path):
     config = tmp_path / "test.toml"
     config.write_text(f"[storage]\nfolder = {json.dumps(str(filled.folder))}\n")
-    said = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)
-    assert (said["ok"], said["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
+    answer = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)
+    assert (answer["ok"], answer["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--from-h", 5, "--to-h", 5), "let it end later"),
         (("--from-h", 1e6), "let it end later"),
     ],
 )
-def test_an_impossible_report_is_rejected_and_nothing_is_written(words, said, filled, tmp_path):
+def test_an_impossible_report_is_rejected_and_nothing_is_written(words, message, filled, tmp_path):
     target = tmp_path / "a.html"
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=message):
         made(filled.folder, *words, "--out", target)
     assert not target.exists()
     target.write_text("older")
@@ -305,9 +305,9 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
             answer = api.get("/api/v1/report?from_h=5&to_h=10")
             assert answer.headers["content-type"].startswith("text/html")
             assert "attachment" in answer.headers["content-disposition"]
-            told = Page(answer.content)
-            assert "Position B" in told.tables
-            assert "audit" not in told.ids
+            report = Page(answer.content)
+            assert "Position B" in report.tables
+            assert "audit" not in report.ids
             # The next ones without a process of their own, whose start is most of what they take.
             monkeypatch.setattr(route, "one_worker", lambda: nullcontext(AtOnce()))
             refused = api.get("/api/v1/report?from_h=5&to_h=5")
@@ -320,12 +320,14 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
 
 
 def test_annotations_are_drawn_where_they_begin_and_end(filled):
-    told = read_contents(filled.folder)
-    drawn = {place.name: figure_of(told, place).count(GREEN.lower()) for place in told.places}
+    report_contents = read_contents(filled.folder)
+    drawn = {
+        place.name: figure_of(report_contents, place).count(GREEN.lower()) for place in report_contents.places
+    }
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
     assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
 
 
 def test_text_of_a_figure_is_text(filled):
-    told = read_contents(filled.folder)
-    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(told, told.places[1]))
+    report_contents = read_contents(filled.folder)
+    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(report_contents, report_contents.places[1]))

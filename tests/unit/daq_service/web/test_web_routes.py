@@ -148,8 +148,8 @@ def test_ages_are_on_the_tests_own_time_when_the_computers_clock_was_set(tmp_pat
     assert age.total_seconds() == pytest.approx(by_h * 3600, abs=300.0)
     assert 0.0 <= info["as_of"]["wall_age_s"] < 300.0
     run_status(config=None, data_dir=tmp_path, as_json=False, watch=False)
-    told = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
-    assert re.search(told, capsys.readouterr().out, re.MULTILINE)
+    pattern = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
+    assert re.search(pattern, capsys.readouterr().out, re.MULTILINE)
 
 
 def test_a_number_that_is_not_available_is_null(api):
@@ -241,18 +241,18 @@ def test_info_shows_a_pause_and_a_dry_run(tmp_path):
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:
 
-        def told():
+        def pause_and_dry_run():
             info = get(api, "/api/v1/info")
             return info["held"], info["dry_run"]
 
-        assert told() == (None, None), "a recorder of an older version does not say"
+        assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
         filled.say("hold", held="held by ann: door open", author="ann")
-        assert told() == ("held by ann: door open", True)
+        assert pause_and_dry_run() == ("held by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
-        assert told() == ("held by ann: door open", False), "a restart ends no hold"
+        assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
         filled.say("release", held="", author="ann")
-        assert told() == (None, False)
+        assert pause_and_dry_run() == (None, False)
     filled.close()
 
 
@@ -288,9 +288,11 @@ def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
             # A sum in another order.
             assert columns[name][number] == (pytest.approx(np.mean(values), rel=1e-14) if values else None)
     outliers = [index for index, beyond in enumerate(whole["columns"]["outlier"]) if beyond]
-    told = {index for index in bins["first_outlier_set_index"] if index is not None}
+    first_outliers = {index for index in bins["first_outlier_set_index"] if index is not None}
     assert sum(bins["n_outliers"]) == len(outliers)
-    assert told == {min(i for i in outliers if i // width == of) for of in {i // width for i in outliers}}
+    assert first_outliers == {
+        min(i for i in outliers if i // width == of) for of in {i // width for i in outliers}
+    }
     assert {i for i in bins["first_alarm_set_index"] if i is not None} == {55}
     narrow = get(api, f"/api/v1/trends/B?points=8&from_h={whole['columns']['due_h'][50]}&to_h=29")
     assert (narrow["bin_sets"], narrow["columns"]["set_index"][0]) == (1, 50)
@@ -490,22 +492,22 @@ def test_info_shows_the_requested_action_and_its_remaining_time(tmp_path):
     at_ns = filled.due[0].due_utc_ns
     with served(filled.settings, tmp_path) as service, service.client() as api:
 
-        def told():
+        def requested_action():
             return get(api, "/api/v1/info")["asked"]
 
-        assert told() is None
+        assert requested_action() is None
         filled.say("asked", at_ns, **ASKED)
-        assert told() == {**ASKED, "left_s": 60.0}
+        assert requested_action() == {**ASKED, "left_s": 60.0}
         filled.say("orders", at_ns + 45 * 10**9)
-        assert told()["left_s"] == 15.0
+        assert requested_action()["left_s"] == 15.0
         filled.say("orders", at_ns + 60 * 10**9)
-        assert told() is None, "too late"
+        assert requested_action() is None, "too late"
         filled.say("asked", at_ns + 61 * 10**9, **ASKED)
         filled.say("asked_over", at_ns + 62 * 10**9)
-        assert told() is None, "done"
+        assert requested_action() is None, "done"
         filled.say("asked", at_ns + 63 * 10**9, **ASKED)
         filled.recorder_ends()
-        assert told() is None, "nobody waits"
+        assert requested_action() is None, "nobody waits"
     filled.close()
 
 

@@ -108,11 +108,13 @@ def everything_from(client):
     return b"".join(iter(lambda: client.recv(65536), b""))
 
 
-@pytest.mark.parametrize("begun", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"])
-def test_headers_that_do_not_come_end_the_connection(filled, monkeypatch, begun):
+@pytest.mark.parametrize(
+    "request_start", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"]
+)
+def test_headers_that_do_not_come_end_the_connection(filled, monkeypatch, request_start):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
-        client.sendall(begun)
+        client.sendall(request_start)
         assert everything_from(client).startswith(b"HTTP/1.1 408 ")
 
 
@@ -133,9 +135,9 @@ def test_what_is_being_answered_is_not_broken_off_by_a_slow_next_request(filled,
         client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
         until(lambda: len(looks) > 3, "the next request's headers being waited for")
         service.stop.set()
-        told = everything_from(client)
-    assert b"event: bye" in told
-    assert b" 408 " not in told
+        response = everything_from(client)
+    assert b"event: bye" in response
+    assert b" 408 " not in response
 
 
 @pytest.mark.parametrize("ended", [False, True])

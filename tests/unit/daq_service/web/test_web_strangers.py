@@ -200,10 +200,10 @@ def test_revoking_where_no_token_was_made_asks_for_none(tmp_path):
 
 
 @contextmanager
-def connection_to(service, begun=b""):
+def connection_to(service, request_start=b""):
     host, _, port = service.netloc.partition(":")
     with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
-        client.sendall(begun)
+        client.sendall(request_start)
         yield client
 
 
@@ -222,12 +222,12 @@ def _ended(client):
 
 
 @pytest.mark.parametrize(
-    "begun",
+    "request_start",
     [b"", b"GET / HT", b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{"],
     ids=["silent", "headers", "body"],
 )
 @pytest.mark.parametrize("limit", ["MOST_WAITING", "MOST_WAITING_OF_ADDRESS"])
-def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, limit, begun):
+def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, limit, request_start):
     monkeypatch.setattr(bounded_http, limit, 3)
     monkeypatch.setattr(bounded_http, "LOOK_EVERY_S", 0.02)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
@@ -235,7 +235,7 @@ def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, l
             connection_to(service, b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         )
         assert stream.recv(4096).startswith(b"HTTP/1.1 200 ")
-        clients = [opened.enter_context(connection_to(service, begun)) for _ in range(8)]
+        clients = [opened.enter_context(connection_to(service, request_start)) for _ in range(8)]
         until(lambda: _closed(clients) == 5, "all but three to be closed")
         with service.client() as api:
             assert api.get("/healthz").status_code == 200

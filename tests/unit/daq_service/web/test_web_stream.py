@@ -366,10 +366,10 @@ def test_too_many_streams_are_rejected_with_503(filled, service, monkeypatch):
 
 
 def test_streams_that_begin_together_let_another_answer_go_first():
-    begun = []
+    started = []
 
     async def app(scope, receive, send):
-        begun.append(scope["path"])
+        started.append(scope["path"])
 
     async def body():
         guard = RequestGuard(app)
@@ -378,5 +378,5 @@ def test_streams_that_begin_together_let_another_answer_go_first():
         await asyncio.gather(*(guard({**scope, "path": path}, None, None) for path in paths))
 
     asyncio.run(body())
-    assert len(begun) == 101
-    assert begun.index("/healthz") == 0
+    assert len(started) == 101
+    assert started.index("/healthz") == 0

@@ -29,7 +29,7 @@ from daq_service.web.tables.choice import TABLES
 from daq_service.web.tables.formats import FORMATS, MATLAB_NAME
 
 N_SETS = 60
-CAUSE_TOLD = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
+DIAGNOSIS = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
 READINESS = {"n_eff": 34.0, "phi_pooled": 0.17, "tail": 1.5, "why_not_guaranteed": "48 sets are few"}
 LISTED = {"shot_features": ("features", {"scope": "shot"})}
 
@@ -37,11 +37,11 @@ LISTED = {"shot_features": ("features", {"scope": "shot"})}
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    judged = folder.assessment
+    assessment_of = folder.assessment
 
     def with_a_cause(position, index, hour):
-        row = judged(position, index, hour)
-        return replace(row, cause_told=CAUSE_TOLD) if (position, index) == ("B", 55) else row
+        row = assessment_of(position, index, hour)
+        return replace(row, cause_told=DIAGNOSIS) if (position, index) == ("B", 55) else row
 
     folder.assessment = with_a_cause
     for index in range(N_SETS):
@@ -138,11 +138,13 @@ def test_every_table_is_the_listing_in_every_format(api, table):
             unit = (read.schema.field(column.name).metadata or {}).get(b"unit", b"").decode()
             assert unit == column.unit
             for value, row in zip(values, rows, strict=True):
-                told = row[column.name]
-                if told is None:
+                expected = row[column.name]
+                if expected is None:
                     assert pd.isna(value)
                 else:
-                    assert value == (pd.Timestamp(told) if column.form == "time" else told), column.name
+                    assert value == (pd.Timestamp(expected) if column.form == "time" else expected), (
+                        column.name
+                    )
         assert json.loads(read.schema.metadata[b"solimon"])["table"] == table
 
     with np.load(io.BytesIO(exported(api, table, "npz"))) as arrays:
@@ -248,7 +250,7 @@ def test_the_header_accept_chooses_the_format(api):
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "said"),
+    ("asked", "status", "message"),
     [
         ("nothing", 404, "The tables are sets, features"),
         ("features?position=X", 404, "The positions are"),
@@ -260,10 +262,10 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?format=xlsx", 422, "csv"),
     ],
 )
-def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, said):
+def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, message):
     answer = api.get(f"/api/v1/tables/{asked}")
     assert answer.status_code == status
-    assert said in answer.text
+    assert message in answer.text
 
 
 def test_no_answer_is_without_a_bound(api, monkeypatch):
@@ -290,7 +292,7 @@ def test_without_pyarrow_the_others_are_offered(api, monkeypatch):
 
 
 def test_the_list_of_tables_has_columns_units_and_formats(api):
-    told = api.get("/api/v1/tables").json()
-    assert told["formats"] == list(FORMATS)
-    (features,) = [item for item in told["items"] if item["table"] == "features"]
+    listing = api.get("/api/v1/tables").json()
+    assert listing["formats"] == list(FORMATS)
+    (features,) = [item for item in listing["items"] if item["table"] == "features"]
     assert {"name": "tof_pp_s", "form": "number", "unit": "s"} in features["columns"]

@@ -153,11 +153,11 @@ def renewed_at(filled, position, first_set):
 
 def test_json_says_the_same(api):
     header, planes = read(api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo"))
-    told = api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo&format=json").json()
-    assert {name: told[name] for name in header} == header
+    answer = api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo&format=json").json()
+    assert {name: answer[name] for name in header} == header
     assert header["velocity_m_per_s"] == 5900.0
-    np.testing.assert_array_equal(np.array(told["minimum"], dtype=np.float32), planes[0])
-    np.testing.assert_array_equal(np.array(told["maximum"], dtype=np.float32), planes[1])
+    np.testing.assert_array_equal(np.array(answer["minimum"], dtype=np.float32), planes[0])
+    np.testing.assert_array_equal(np.array(answer["maximum"], dtype=np.float32), planes[1])
 
 
 def test_what_a_client_has_is_not_sent_again(api):
@@ -213,10 +213,10 @@ def test_tiles_draw_the_same_and_the_service_writes_none(api, filled):
     assert not (filled.folder / TILES_FOLDER).exists()
     files = {index: f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
-    told = tiles_again(
+    corruption = tiles_again(
         filled.folder, name, files, lambda index: results_in(filled.catalogue, index), lambda done, of: None
     )
-    assert told == []
+    assert corruption == []
     # Another service, which has nothing in its memory and no records.
     sets = filled.folder / "sets"
     sets_aside = filled.folder.with_name("aside")

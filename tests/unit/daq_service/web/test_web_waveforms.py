@@ -108,8 +108,8 @@ def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
 
 
 def test_a_repeated_record_is_not_among_those_of_its_set(tmp_path, monkeypatch):
-    def repeated(record, **told):
-        row = shot_row(record, **told)
+    def repeated(record, **columns):
+        row = shot_row(record, **columns)
         return replace(row, outcome="superseded") if row.shot_index == 1 else row
 
     monkeypatch.setattr("support.filled_folder.shot_row", repeated)

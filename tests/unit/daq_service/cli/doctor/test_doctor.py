@@ -508,15 +508,15 @@ def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
 
 
 def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
-    said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
-    assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
+    finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
+    assert looked(Found(findings=(finding,)))["transducer B: trigger"].found == (
         "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
 def test_noise_goes_into_the_values() -> None:
-    said = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
-    found = looked(Found(findings=(said,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
+    finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
+    found = looked(Found(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
     assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
 
 

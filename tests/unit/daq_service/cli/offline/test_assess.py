@@ -50,7 +50,7 @@ def run(*arguments):
     return CliRunner().invoke(cli, ["assess", *map(str, arguments)], catch_exceptions=False)
 
 
-def told(*arguments):
+def assessed_sensors(*arguments):
     answer = run(*arguments, "--json")
     assert answer.exit_code == 0, answer.output
     return json.loads(answer.output)["sensors"]
@@ -63,9 +63,9 @@ def refused(*arguments):
 
 
 def test_every_format_says_the_same(tables):
-    (npy,) = told(tables[".npy"], "--baseline-rows", 40)
-    (csv_,) = told(tables[".csv"], "--baseline-where", "part=healthy")
-    (arrow,) = told(tables[".parquet"], "--baseline-where", "part=healthy")
+    (npy,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
+    (csv_,) = assessed_sensors(tables[".csv"], "--baseline-where", "part=healthy")
+    (arrow,) = assessed_sensors(tables[".parquet"], "--baseline-where", "part=healthy")
     assert set(npy) >= MOST_LISTED
     assert set(npy["limits"]) == set(npy["count"]) == set(npy["first"]) == LIMITS
     assert csv_.pop("columns_assessed") == arrow.pop("columns_assessed") == NAMES
@@ -81,8 +81,8 @@ def test_every_format_says_the_same(tables):
 
 
 def test_the_paper_s_limit_is_shown_with_its_actual_false_alarm_rate(tables):
-    said = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
-    experiment_text = {line.split()[0]: line for line in said if " limit " in line}
+    lines = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
+    experiment_text = {line.split()[0]: line for line in lines if " limit " in line}
     assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in experiment_text["paper_mean_3sd"]
     assert all("%" not in line for name, line in experiment_text.items() if name != "paper_mean_3sd")
 
@@ -91,8 +91,8 @@ def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["healthy,a,b,c", *lines]), encoding="utf-8")
-    (all_of_them,) = told(path, "--baseline-where", "healthy=1", "--no-rows")
-    (some,) = told(path, "--baseline-where", "healthy=1", "--features", "b, a", "--no-rows")
+    (all_of_them,) = assessed_sensors(path, "--baseline-where", "healthy=1", "--no-rows")
+    (some,) = assessed_sensors(path, "--baseline-where", "healthy=1", "--features", "b, a", "--no-rows")
     assert all_of_them["features_dropped"] == ["c"]
     assert some["features_dropped"] == []
     assert "rows" not in some
@@ -103,7 +103,7 @@ def test_empty_cells_are_missing_values(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{a},{'' if row in (3, 70) else b}" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["a,b", *lines]), encoding="utf-8")
-    (found,) = told(path, "--baseline-rows", 40)
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["n"] == 39
     assert [one["row"] for one in found["left_out"]] == [3, 70]
     assert found["rows"][70] == {
@@ -120,15 +120,15 @@ def test_multiple_processes_assess_many_sensors_identically(tmp_path, tables):
     for k in range(17):
         paths.append(tmp_path / f"{k}.npy")
         np.save(paths[-1], healthy("independent", 60, np.random.default_rng(k)))
-    alone = [told(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
-    together = told(*paths, "--baseline-rows", 20, "--no-rows")
+    alone = [assessed_sensors(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
+    together = assessed_sensors(*paths, "--baseline-rows", 20, "--no-rows")
     assert [one["file"] for one in together] == [str(path) for path in paths]
     assert together[:2] == alone
 
 
 def test_a_sensor_that_cannot_be_assessed_is_reported_and_the_others_are_assessed(tmp_path, tables):
     np.save(tmp_path / "short.npy", np.random.default_rng(0).standard_normal((14, 5)))
-    short, good = told(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
+    short, good = assessed_sensors(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
     assert "14 rows" in short["refused"]
     assert short["limits"] == {}
     assert short["rows"] == []
@@ -167,7 +167,7 @@ def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
 ):
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    bad, good = told(path, tables[".npy"], "--baseline-rows", 40)
+    bad, good = assessed_sensors(path, tables[".npy"], "--baseline-rows", 40)
     assert words in bad["refused"]
     assert set(bad) == set(good) - {"default_because"}
     assert good["refused"] is None
@@ -175,14 +175,14 @@ def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
 
 def test_a_parquet_file_with_a_name_twice_is_refused(tmp_path, vectors):
     parquet.write_table(pa.table(list(vectors[:, :2].T), names=["a", "a"]), tmp_path / "a.parquet")
-    (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.parquet", "--baseline-rows", 20)
     assert bad["refused"].endswith("a.parquet: each column must be named once; they are 'a,a'")
 
 
 def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it(tmp_path, vectors):
     text = "\n".join(["a,b,c", *(f"{a},{b}," for a, b, *_ in vectors.tolist())])
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
-    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert bad["refused"].startswith("0 complete rows in the baseline; at least 15 are needed")
     assert bad["refused"].endswith("leave out c, which 0 of 40 have")
 
@@ -195,7 +195,7 @@ def test_an_absurd_value_ends_no_run(tmp_path, tables, vectors, absurd, fleet):
         cells[row, 2] = absurd
         np.save(tmp_path / f"{row}.npy", cells)
     paths = (tables[".npy"], tmp_path / "10.npy", tmp_path / "80.npy")
-    good, before, after = told(*paths, "--baseline-rows", 40, *fleet)
+    good, before, after = assessed_sensors(*paths, "--baseline-rows", 40, *fleet)
     assert f"2 of row 10 is {absurd:.4g}" in before["refused"]
     assert "correct or empty that cell, or leave 2 out" in before["refused"]
     assert good["refused"] is after["refused"] is None
@@ -206,14 +206,14 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_is_refused_by_name(tmp
     cells = vectors.copy()
     cells[:, 3] = np.arange(len(cells)) % 10 == 7
     np.save(tmp_path / "a.npy", cells)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 40)
     assert bad["refused"].startswith("3 of row 7 is 1, where most of the baseline is within 0 of 0")
 
 
 def test_a_baseline_without_rows_is_rejected_with_the_available_values(tables):
-    (bad,) = told(tables[".csv"], "--baseline-where", "part=good")
+    (bad,) = assessed_sensors(tables[".csv"], "--baseline-where", "part=good")
     assert bad["refused"].endswith("no row has part=good; there is healthy, test")
-    (same,) = told(tables[".csv"], "--baseline-where", " part = Healthy ")
+    (same,) = assessed_sensors(tables[".csv"], "--baseline-where", " part = Healthy ")
     assert same["n"] == 40
 
 
@@ -223,7 +223,7 @@ def test_a_baseline_that_leaves_no_row_to_assess_causes_a_warning(tables):
     assert found["n"] == 120
     assert found["nothing_judged"].startswith("the last of 120 rows is baseline: nothing is judged")
     assert found["nothing_judged"] in answer.stderr
-    assert told(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
+    assert assessed_sensors(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
 
 
 @pytest.mark.parametrize(
@@ -231,13 +231,13 @@ def test_a_baseline_that_leaves_no_row_to_assess_causes_a_warning(tables):
 )
 def test_an_array_that_is_no_table_is_refused(tmp_path, array):
     np.save(tmp_path / "a.npy", array)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 20)
     assert "a.npy" in bad["refused"]
 
 
 def test_objects_are_not_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 20)
     assert bad["refused"].endswith("no .npy file of numbers, rows x features")
 
 
@@ -262,11 +262,11 @@ def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tm
     [(";", ",", True), ("\t", ".", True), (", ", ".", True), (",", ".", False), (";", ",", False)],
 )
 def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separator, decimal, named):
-    (expected,) = told(tables[".npy"], "--baseline-rows", 40)
+    (expected,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
     lines = [separator.join(repr(v).replace(".", decimal) for v in row) for row in vectors.tolist()]
     text = "\r\n".join([separator.join("01234"), *lines] if named else lines)
     (tmp_path / "other.csv").write_text(text, encoding="utf-8-sig")
-    (found,) = told(tmp_path / "other.csv", "--baseline-rows", 40)
+    (found,) = assessed_sensors(tmp_path / "other.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
 
 
@@ -296,7 +296,7 @@ def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
     path = tmp_path / "a.csv"
     cells = [f"#{row},{a}" if row != 50 else "#50," for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
-    (found,) = told(path, "--baseline-rows", 40)
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["refused"] is None
     assert [one["row"] for one in found["left_out"]] == [50]
 
@@ -308,10 +308,10 @@ def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
     assert "column 'hour' holds '12.040,000', no number" in refused(
         path, "--baseline-rows", 40, "--features", "hour"
     )
-    (bad,) = told(path, "--baseline-where", "phase=0.6")
+    (bad,) = assessed_sensors(path, "--baseline-where", "phase=0.6")
     assert bad["refused"].endswith("no row has phase=0.6; there is 0,5, 0,0")
     for value in ("0.5", "0,5"):
-        (found,) = told(path, "--baseline-where", f"phase={value}")
+        (found,) = assessed_sensors(path, "--baseline-where", f"phase={value}")
         assert found["n"] == 40
 
 
@@ -319,7 +319,7 @@ def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_non
     cells = {3: "NA", 50: " ", 60: "null", 70: "-inf", 80: "broken"}
     lines = [f"{row},{a},{cells.get(row, b)}," for row, (a, b, *_) in enumerate(vectors.tolist())]
     (tmp_path / "a.csv").write_text("\n".join([",a,b,", *lines]), encoding="utf-8")
-    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert found["n"] == 39
     assert found["features_dropped"] == []
     assert [one["row"] for one in found["left_out"]] == [*cells]
@@ -341,7 +341,7 @@ def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
     assert f"--budget {float(budget):g} at 24 sets" in refused(
         tables[".csv"], "--baseline-rows", 40, "--budget", budget
     )
-    assert told(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
+    assert assessed_sensors(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
 
 
 @pytest.mark.parametrize("option", ["--budget", "--sets-per-day"])
@@ -426,11 +426,11 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
 ):
     columns = first_two(vectors)
     columns["b"][first:] = [cell] * (120 - first)
-    (bad,) = told(written(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(written(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
     shown = cell.strip('"')
     assert f"a.csv: column 'b' holds {shown!r} in row {first}, nearly a number" in bad["refused"]
     assert "write the number alone" in bad["refused"]
-    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
+    (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
     assert found["refused"] is None
     if not first:
         words = refused(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
@@ -440,14 +440,14 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
 def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vectors):
     for column in (pa.array([338_200] * 120, pa.duration("ns")), pa.array(["338.20 us"] * 120)):
         parquet.write_table(pa.table({"a": vectors[:, 0], "b": column}), tmp_path / "a.parquet")
-        (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 40)
+        (bad,) = assessed_sensors(tmp_path / "a.parquet", "--baseline-rows", 40)
         assert "a.parquet: column 'b' holds " in bad["refused"]
 
 
 def test_thousands_and_decimals_with_the_same_mark_are_refused(tmp_path, vectors):
     columns = first_two(vectors)
     columns["b"][:] = ["338.2"] * 60 + ["1,338"] * 60
-    (bad,) = told(written(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(written(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
     assert "column 'b' holds '1,338' in row 60, nearly a number" in bad["refused"]
 
 
@@ -481,7 +481,7 @@ LEFT_OUT = {
 def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_path, vectors, name):
     cells, reason, cell = LEFT_OUT[name]
     path = written(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
-    (found,) = told(path, "--baseline-rows", 40)
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["columns_assessed"] == ["a", "b"]
     assert found["columns_left_out"] == [{"name": name, "reason": reason, "row": 0, "cell": cell}]
     words = run(path, "--baseline-rows", 40).output.splitlines()
@@ -491,7 +491,7 @@ def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_
 
 def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
     path = written(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
-    (found,) = told(path, "--baseline-rows", 40, "--features", "hour,a")
+    (found,) = assessed_sensors(path, "--baseline-rows", 40, "--features", "hour,a")
     assert found["columns_assessed"] == ["hour", "a"]
     assert found["columns_left_out"] == []
 
@@ -502,14 +502,14 @@ def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
 def test_an_instrument_s_overload_is_a_missing_value(tmp_path, vectors, cell):
     columns = first_two(vectors)
     columns["b"][5] = columns["b"][70] = cell
-    (found,) = told(written(tmp_path / "a.csv", columns), "--baseline-rows", 40)
+    (found,) = assessed_sensors(written(tmp_path / "a.csv", columns), "--baseline-rows", 40)
     assert (found["n"], [one["row"] for one in found["left_out"]]) == (39, [5, 70])
 
 
 def test_an_overload_in_an_array_is_a_missing_value(tmp_path, vectors):
     vectors[5, 1] = 9.91e37
     np.save(tmp_path / "a.npy", vectors.astype(np.float32))
-    (found,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
+    (found,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 40)
     assert [one["row"] for one in found["left_out"]] == [5]
 
 
@@ -534,7 +534,7 @@ def semicolons(text):
 def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, changed, encoding):
     plain = written(tmp_path / "a.csv", first_two(vectors))
     (tmp_path / "b.csv").write_text(changed(plain.read_text(encoding="utf-8")), encoding=encoding)
-    expected, found = told(plain, tmp_path / "b.csv", "--baseline-rows", 40)
+    expected, found = assessed_sensors(plain, tmp_path / "b.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
 
 
@@ -553,5 +553,5 @@ def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, c
 def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, words):
     rows = [f"dry,{a},{b}" for a, b, *_ in vectors.tolist()]
     (tmp_path / "a.csv").write_text("\n".join([header, *rows, last]), encoding="utf-8")
-    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert words in bad["refused"]

@@ -106,11 +106,11 @@ def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
 
 def test_a_setting_moves_an_alarm(line):
     done = solimon_here("replay", str(line.folder), "--set", "alarms.k=2", "--json", env={})
-    told = json.loads(done.stdout)
-    (moved,) = told["alarms"]["moved"]
+    answer = json.loads(done.stdout)
+    (moved,) = answer["alarms"]["moved"]
     assert done.returncode == 0
     assert (moved["stored"]["set_index"], moved["again"]["set_index"]) == (23, 22)
-    assert told["changed"] == {"alarms.k": 2}
+    assert answer["changed"] == {"alarms.k": 2}
 
 
 def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
@@ -135,9 +135,9 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
 )
 def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours, unjudged):
     done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
-    told = json.loads(done.stdout)["not_assessed"]
-    assert [(one["position"], one["last_set_index"], one["last_set"]) for one in told] == unjudged
-    for one in told:
+    not_assessed = json.loads(done.stdout)["not_assessed"]
+    assert [(one["position"], one["last_set_index"], one["last_set"]) for one in not_assessed] == unjudged
+    for one in not_assessed:
         position, last_set = one["position"], one["last_set"]
         assert one["told"] == (
             f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
@@ -146,7 +146,7 @@ def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours,
         )
     words = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
     assert [text for text in words.splitlines() if "nothing is judged" in text] == [
-        one["told"] for one in told
+        one["told"] for one in not_assessed
     ]
 
 
@@ -155,13 +155,13 @@ def test_each_column_has_its_count_and_the_outliers_come_first(line):
     of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
-    (told,) = [words for words in in_words(found) if words.startswith("verdict B")]
+    (sentence,) = [words for words in in_words(found) if words.startswith("verdict B")]
     first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
-    assert f"{first}; limit_name in 25 sets from set 0 on" in told
+    assert f"{first}; limit_name in 25 sets from set 0 on" in sentence
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ("schedule.shots_per_set=5", "does not say how records are judged; these do: features.of_set"),
         ("quality.restrikes_per_set=0", "quality.no_data_sets, quality.retire_after_sets"),
@@ -171,10 +171,10 @@ def test_each_column_has_its_count_and_the_outliers_come_first(line):
         ("alarms.decides_by=luck", "alarms.decides_by: Input should be 'chart' or 'k_of_n'"),
     ],
 )
-def test_what_does_not_judge_or_is_refused_is_named_with_what_may_be_set(line, given, told):
+def test_what_does_not_judge_or_is_refused_is_named_with_what_may_be_set(line, given, message):
     done = solimon_here("replay", str(line.folder), "--set", given, env={})
     assert (done.returncode, done.stdout) == (2, "")
-    assert told in done.stderr
+    assert message in done.stderr
 
 
 def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line):
@@ -222,21 +222,26 @@ def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_cod
 def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
     before = content_of(line.folder)
     done = explain(line.folder, alarm_id_of(line, "transducer_change", "B"), tmp_path, "--json")
-    told = json.loads(done.stdout)
+    explanation = json.loads(done.stdout)
     assert done.returncode == 0
     assert content_of(line.folder) == before
-    again = told["recomputed"]
-    assert (told["agrees"], again["differences"], again["n_sets"], again["n_records"]) == (True, [], 24, 72)
+    again = explanation["recomputed"]
+    assert (explanation["agrees"], again["differences"], again["n_sets"], again["n_records"]) == (
+        True,
+        [],
+        24,
+        72,
+    )
     assert [one["set_index"] for one in again["raised"]] == [23]
     # Set 23 is 9 sets into the drift of 0.8 us a set, and rests a little differently, by up to 0.8 us.
     pulses = again["pulses"]
     late = [at for at, time_s in enumerate(pulses["time_s"]) if 200e-6 < time_s < 500e-6]
     peaks = [max(late, key=pulses[name].__getitem__) for name in ("baseline_v", "set_v")]
     assert 5 <= peaks[1] - peaks[0] <= 10, "in steps of 1 us"
-    page, facts = (Path(file).read_text(encoding="utf-8") for file in told["files"])
-    assert json.loads(facts) == told
+    page, facts = (Path(file).read_text(encoding="utf-8") for file in explanation["files"])
+    assert json.loads(facts) == explanation
     assert page.count("<svg ") == 3
-    assert "from B-baseline-1, " in told["sentences"][0]
+    assert "from B-baseline-1, " in explanation["sentences"][0]
     assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
     for words in ("Set 23 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
         assert words in page
@@ -244,9 +249,9 @@ def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(
 
 def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(line, tmp_path):
     hole = alarm_id_of(line, "hole", "C")
-    told = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
-    silent = {row["set_index"]: row["n"] for row in told["recomputed"]["shots_without_psw"]}
-    assert told["agrees"]
+    explanation = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
+    silent = {row["set_index"]: row["n"] for row in explanation["recomputed"]["shots_without_psw"]}
+    assert explanation["agrees"]
     assert (silent[20], silent[21], silent[22]) == (0, 3, 3)
     assert explain(line.folder, hole, tmp_path).returncode == 2
     inside = explain(line.folder, hole, line.folder / "explained")
@@ -256,16 +261,16 @@ def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(
 def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
     folder = changed_line(AssessmentRow, 20, distance_squared=1.0)
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
-    told = json.loads(done.stdout)
-    (difference,) = told["recomputed"]["differences"]
-    assert (done.returncode, told["agrees"]) == (0, False)
+    explanation = json.loads(done.stdout)
+    (difference,) = explanation["recomputed"]["differences"]
+    assert (done.returncode, explanation["agrees"]) == (0, False)
     assert (difference["table"], difference["column"], difference["first_set_index"]) == (
         *("assessment", "distance_squared"),
         20,
     )
     assert difference["stored"] == 1.0
     assert difference["again"] > 1.0
-    assert "what is stored differs in the 1 points" in told["told"]
+    assert "what is stored differs in the 1 points" in explanation["told"]
 
 
 @pytest.mark.parametrize(
@@ -284,8 +289,8 @@ def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(afte
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
         catalogue.restore([after(row) for row in catalogue.rows(BaselineRow, position="B")])
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
-    told = json.loads(done.stdout)
-    assert (told["agrees"], told["recomputed"]["differences"]) == (True, [])
+    explanation = json.loads(done.stdout)
+    assert (explanation["agrees"], explanation["recomputed"]["differences"]) == (True, [])
 
 
 def test_an_unknown_alarm_a_foreign_extractor_and_a_corrupt_set_are_reported(changed_line, line, tmp_path):
@@ -328,14 +333,16 @@ def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line,
 
 
 def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
-    told = json.loads(explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout)
-    assert (told["agrees"], told["recomputed"]) == (None, None)
-    assert "a person's order" in told["why_not_recomputed"]
-    assert "a loose cable" in told["alarm"]["message"]
-    assert "alarm_reset" in [one["kind"] for one in told["history"]]
-    assert "This alarm is not recomputed" in (tmp_path / f"alarm-{told['alarm']['id']}.html").read_text(
-        encoding="utf-8"
+    explanation = json.loads(
+        explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout
     )
+    assert (explanation["agrees"], explanation["recomputed"]) == (None, None)
+    assert "a person's order" in explanation["why_not_recomputed"]
+    assert "a loose cable" in explanation["alarm"]["message"]
+    assert "alarm_reset" in [one["kind"] for one in explanation["history"]]
+    assert "This alarm is not recomputed" in (
+        tmp_path / f"alarm-{explanation['alarm']['id']}.html"
+    ).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def run(*arguments):
     return CliRunner().invoke(cli, ["features", *map(str, arguments)], catch_exceptions=False)
 
 
-def told(*arguments):
+def extracted_records(*arguments):
     answer = run(*arguments, "--json")
     assert answer.exit_code == 0, answer.output
     found = json.loads(answer.stdout)
@@ -52,7 +52,7 @@ def refused(*arguments):
 
 def test_counts_give_what_the_recorder_would_have_found(tmp_path, counts):
     path = saved(tmp_path, counts)
-    rows = told(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
+    rows = extracted_records(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
     assert [(row["file"], row["index"]) for row in rows] == [(str(path), k) for k in range(N)]
     for seed, row in enumerate(rows):
         expected = extract_features(SCENE.waveform(seed))
@@ -69,8 +69,8 @@ def test_a_table_of_text_gives_the_same_as_the_array(tmp_path, separator, header
     if header:
         lines.insert(0, separator.join(f"s{k}" for k in range(values.shape[1])))
     (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
-    rows = told(tmp_path / "records.csv")
-    expected = told(saved(tmp_path, values))
+    rows = extracted_records(tmp_path / "records.csv")
+    expected = extracted_records(saved(tmp_path, values))
     assert [row | {"file": ""} for row in rows] == [row | {"file": ""} for row in expected]
 
 
@@ -99,9 +99,11 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
 
 def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
     path = saved(tmp_path, volts())
-    assert {tuple(row["flags"]) for row in told(path)} == {()}
-    assert {tuple(row["flags"]) for row in told(path, "--isw-amplitude-v", 30.0)} == {("missed",)}
-    assert {tuple(row["flags"]) for row in told(path, "--psw-window-s", "4e-4,9e-4")} == {
+    assert {tuple(row["flags"]) for row in extracted_records(path)} == {()}
+    assert {tuple(row["flags"]) for row in extracted_records(path, "--isw-amplitude-v", 30.0)} == {
+        ("missed",)
+    }
+    assert {tuple(row["flags"]) for row in extracted_records(path, "--psw-window-s", "4e-4,9e-4")} == {
         ("double", "no_psw")
     }
 
@@ -109,15 +111,15 @@ def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
 def test_rails_say_what_is_clipped(tmp_path, counts):
     path = saved(tmp_path, counts)
     scale = ("--volts-per-count", VOLTS_PER_COUNT)
-    assert not any("clipped" in row["flags"] for row in told(path, *scale))
-    rows = told(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
+    assert not any("clipped" in row["flags"] for row in extracted_records(path, *scale))
+    rows = extracted_records(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
     assert all("clipped" in row["flags"] for row in rows)
 
 
 def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     values = volts()
     values[5] *= 0.2
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(saved(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [5]
     assert rows[5]["flags"] == ["missed"]
     assert rows[5]["isw_amplitude_v"] == pytest.approx(1.0, rel=0.01)
@@ -126,8 +128,8 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
 
 def test_a_single_record_is_compared_only_with_a_given_amplitude(tmp_path):
     path = saved(tmp_path, 0.15 * volts(n=1))
-    assert told(path)[0]["flags"] == []
-    assert told(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
+    assert extracted_records(path)[0]["flags"] == []
+    assert extracted_records(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
 
 
 def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
@@ -141,7 +143,7 @@ def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
 def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
     values = volts()
     values[3, 700:1200] = value
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(saved(tmp_path, values))
     assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
 
@@ -151,7 +153,7 @@ def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_on
     lines[2] = lines[2].replace(";0,", ";broken;0,", 1)
     lines[7] = lines[7][:3000]
     (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
-    rows = told(tmp_path / "records.csv")
+    rows = extracted_records(tmp_path / "records.csv")
     assert [row["flags"] for row in rows] == [["disturbed"] if k in (2, 7) else [] for k in range(N)]
     assert rows[7]["tof_mf_s"] is None
 
@@ -160,7 +162,7 @@ def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
     values = volts(n=3)
     values[1] = np.nan
     np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f", header="10 MHz, 1\nRig, 3")
-    assert [row["flags"] for row in told(tmp_path / "records.csv")] == [[], ["disturbed"], []]
+    assert [row["flags"] for row in extracted_records(tmp_path / "records.csv")] == [[], ["disturbed"], []]
     (tmp_path / "words.csv").write_text("a,b\nno,numbers", encoding="utf-8")
     assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
 
@@ -191,14 +193,14 @@ def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
 @pytest.mark.parametrize("seed", range(3))
 def test_records_of_noise_alone_teach_no_width_and_are_missed_strikes(tmp_path, seed):
     noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
-    rows = told(saved(tmp_path, noise))
+    rows = extracted_records(saved(tmp_path, noise))
     assert [row["flags"] for row in rows] == [["missed"]] * N
     noise[:, 5000] += 0.5  # a spike is no wave either
-    assert all(row["quality"] == "bad" for row in told(saved(tmp_path, noise)))
+    assert all(row["quality"] == "bad" for row in extracted_records(saved(tmp_path, noise)))
 
 
 def test_one_record_alone_is_a_file_too(tmp_path):
-    (row,) = told(saved(tmp_path, SCENE.volts(0)))
+    (row,) = extracted_records(saved(tmp_path, SCENE.volts(0)))
     assert row["quality"] == "good"
 
 
@@ -265,7 +267,7 @@ def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, 
     lines = [",".join(f"{v:.4f}" for v in record) for record in volts(n=3)]
     for name, content, code in (("a.csv", lines, "utf-8"), ("b.csv", changed(lines), encoding)):
         (tmp_path / name).write_text("\n".join(content), encoding=code)
-    expected, found = told(tmp_path / "a.csv"), told(tmp_path / "b.csv")
+    expected, found = extracted_records(tmp_path / "a.csv"), extracted_records(tmp_path / "b.csv")
     assert [{**row, "file": ""} for row in found] == [{**row, "file": ""} for row in expected]
     assert [row["flags"] for row in found] == [[]] * 3
 
@@ -274,7 +276,7 @@ def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, 
 def test_an_overload_costs_its_record_only(tmp_path, overload):
     values = volts(n=4)
     values[1, 1_500:1_600] = overload
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(saved(tmp_path, values))
     assert [row["flags"] for row in rows] == [[], ["disturbed"], [], []]
     assert rows[1]["isw_amplitude_v"] is None
 
@@ -296,9 +298,9 @@ def written_tdms(path, properties):
 def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
     wave = {"wf_increment": 1.0 / SCENE.rate_hz}
     options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
-    rows = told(written_tdms(tmp_path / "a.tdms", wave), *options)
+    rows = extracted_records(written_tdms(tmp_path / "a.tdms", wave), *options)
     assert [row["tof_mf_s"] for row in rows] == [
-        row["tof_mf_s"] for row in told(saved(tmp_path, volts(n=3)), *options)
+        row["tof_mf_s"] for row in extracted_records(saved(tmp_path, volts(n=3)), *options)
     ]
     assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
     assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
@@ -329,9 +331,9 @@ def test_appended_records_of_labview_are_split(tmp_path):
         ],
     )
     (tmp_path / "appended.tdms_index").write_bytes(b"of another file")
-    rows = told(path)
+    rows = extracted_records(path)
     assert [row["flags"] for row in rows] == [[]] * 14
-    of_each = [row["tof_mf_s"] for row in told(saved(tmp_path, records), "--rate-hz", 1e6)]
+    of_each = [row["tof_mf_s"] for row in extracted_records(saved(tmp_path, records), "--rate-hz", 1e6)]
     assert [row["tof_mf_s"] for row in rows[:5]] == of_each
     assert rows[5]["tof_mf_s"] == rows[8]["tof_mf_s"]
     assert [row["tof_mf_s"] for row in rows[9:]] == pytest.approx(of_each, abs=1e-7)  # of the codes' rounding
@@ -362,6 +364,6 @@ def test_a_second_pulse_in_the_file_is_seen_with_its_reflection(tmp_path):
     values = volts()
     t, later = SCENE.time_s(), SCENE.isw_time_s + 320e-6
     values[4] += 0.3 * SCENE.isw_v * (cos4(t, later) + SCENE.amplitude_ratio * cos4(t, later + SCENE.tof_s))
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(saved(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [4]
     assert "double" in rows[4]["flags"]

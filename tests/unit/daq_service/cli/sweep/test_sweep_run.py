@@ -127,11 +127,11 @@ def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers
 def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     class Parent:
         def join(self) -> None:
-            told.append("the parent has ended")
+            calls.append("the parent has ended")
 
-    told: list[object] = []
+    calls: list[object] = []
     monkeypatch.setattr("multiprocessing.parent_process", Parent)
-    monkeypatch.setattr(os, "_exit", told.append)
+    monkeypatch.setattr(os, "_exit", calls.append)
     monkeypatch.setattr(executors, "one_blas_thread", nullcontext)
     before, threads = signal.getsignal(signal.SIGINT), set(threading.enumerate())
     try:
@@ -141,7 +141,7 @@ def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest
         signal.signal(signal.SIGINT, before)
         for watcher in set(threading.enumerate()) - threads:
             ended(watcher, "the end of the worker's watch over its parent")
-    assert told == ["the parent has ended", 1]
+    assert calls == ["the parent has ended", 1]
 
 
 def test_an_interrupted_sweep_goes_on_without_computing_a_row_again(
