@@ -1,4 +1,4 @@
-"""The client: a folder and a service give the same figures, which are those of the API."""
+"""The client returns the same numbers from a folder and a service, which are those of the API."""
 
 import itertools
 import os
@@ -239,7 +239,7 @@ def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
 
 @pytest.mark.parametrize("of_its_own", [False, True])
 def test_a_folder_is_read_without_a_token_also_where_its_service_asks_for_one(tmp_path, of_its_own):
-    """Whoever may read the files needs nobody's leave."""
+    """A user who may read the files needs no other permission."""
     (data := tmp_path / "data").mkdir()
     tokens = tmp_path / "rig-tokens.json" if of_its_own else data / "tokens.json"
     web = {"tokens_file": str(tokens)} if of_its_own else {}

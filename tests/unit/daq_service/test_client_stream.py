@@ -1,4 +1,4 @@
-"""No message, header or answer ends a client that follows: what cannot be read is reported and left out."""
+"""No message, header or response ends a client that follows: unreadable ones are reported and left out."""
 
 import itertools
 import json

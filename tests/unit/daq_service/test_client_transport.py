@@ -1,4 +1,4 @@
-"""The client asks loopback directly, whatever the environment says; elsewhere an error names the variable."""
+"""The client connects to loopback directly, without a proxy; otherwise an error names the variable."""
 
 import threading
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ DEAD_PROXY = "http://127.0.0.1:9"
 
 @pytest.fixture(autouse=True)
 def bare(monkeypatch):
-    """No variable of the machine that runs the tests."""
+    """Remove the proxy variables of the machine that runs the tests."""
     for variable in VARIABLES:
         monkeypatch.delenv(variable, raising=False)
         monkeypatch.delenv(variable.lower(), raising=False)
@@ -24,7 +24,7 @@ def bare(monkeypatch):
 
 @contextmanager
 def answering(status, body):
-    """A service, or a proxy, that answers everything so; yields its port and the requests."""
+    """Serve the same response to every request; yield the port and the requests."""
     requests = []
 
     class Handler(BaseHTTPRequestHandler):

@@ -18,7 +18,7 @@ def always() -> bool:
 
 
 class FakeWall:
-    """Wall time that passes only by sleeping."""
+    """Wall time that advances only in sleep."""
 
     def __init__(self) -> None:
         self.now_ns = 5 * NS_PER_S
@@ -98,7 +98,7 @@ def test_a_pace_of_zero_is_refused() -> None:
 
 
 class Kernel:
-    """What macOS and Windows answer; ``uuid`` None: no such variable."""
+    """System call results of macOS and Windows; ``uuid`` None: no such variable."""
 
     def __init__(self, uuid: str | None = None, counter: int = 0) -> None:
         self.uuid, self.counter = uuid, counter

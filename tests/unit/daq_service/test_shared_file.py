@@ -1,4 +1,4 @@
-"""Files that processes share: who waits for a moment, who goes on without."""
+"""Files that processes share: short waits, and continuation without the file."""
 
 import itertools
 import os
@@ -19,7 +19,7 @@ from daq_service.shared_file import (
 
 
 class Refusing:
-    """Refuses the first calls as Windows does while another process holds the file."""
+    """Callable that fails at first, as Windows does while another process holds the file."""
 
     def __init__(self, call, times, error=None):
         self.call, self.left = call, times

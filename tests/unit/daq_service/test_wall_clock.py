@@ -1,4 +1,4 @@
-"""Time in a real test: it goes on with what elapses, follows a drift, and is moved by no step."""
+"""Time of a real test: it follows the elapsed time and the drift, and no step moves it."""
 
 import ctypes
 import time

@@ -1,4 +1,4 @@
-"""How a set is taken: its order, what a fault costs, and that what is planned is what is struck."""
+"""Order of the strikes of a set, effects of faults, and agreement with the plan."""
 
 from itertools import count, islice
 
@@ -38,7 +38,7 @@ class Clock:
 
 
 class Deaf:
-    """Striker and digitizer that note each strike and hear nothing."""
+    """Striker and digitizer double that records each strike and returns no data."""
 
     def __init__(self, clock):
         self.clock = clock
@@ -62,7 +62,7 @@ class Deaf:
 
 
 def struck(positions, shots_per_set):
-    """Strikes of every set, as `take_set` makes them."""
+    """Return the strikes that `take_set` makes in every set."""
     clock = Clock()
     deaf = Deaf(clock)
     rig = Rig(kind="simulated", clock=clock, striker=deaf, digitizer=deaf)
@@ -107,7 +107,7 @@ def test_a_repetition_is_followed_by_what_its_first_attempt_is_followed_by():
 
 
 class Scripted(Deaf):
-    """Instruments whose reads go as a list says: a record, or an error to raise."""
+    """Instrument double whose reads follow a list of records and errors."""
 
     def __init__(self, clock, answers):
         super().__init__(clock)
@@ -146,7 +146,7 @@ LOST = ConnectionLostError("the chassis is gone")
 
 
 def taken(answers, positions=None, shots_per_set=2, **hooks):
-    """The measurements of one set, the error that ended it, and the instruments."""
+    """Return the measurements of one set, the error that ended it, and the instruments."""
     clock = Clock()
     instruments = Scripted(clock, answers)
     rig = Rig(

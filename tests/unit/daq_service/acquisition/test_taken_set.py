@@ -1,4 +1,4 @@
-"""What a set knows while it is taken: misses, repetitions, why it fell short."""
+"""State of a set during acquisition: missed records, repetitions, and the reason of a shortfall."""
 
 from dataclasses import replace
 

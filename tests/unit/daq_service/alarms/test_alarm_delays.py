@@ -1,4 +1,4 @@
-"""On-delay, off-delay and dead-band: what holds an alarm back before it follows its condition."""
+"""On-delay, off-delay and deadband of alarms."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def moment(at_s):
 
 
 class Alarm:
-    """An alarm that is told of one condition after another."""
+    """Alarm that is updated with one condition after another."""
 
     def __init__(self, **rule):
         self.kinds = {"wall_change": AlarmKindSettings(**rule)}
@@ -97,7 +97,7 @@ def test_an_off_delay_begins_behind_the_dead_band():
 
 @given(st.lists(st.tuples(st.booleans(), st.sampled_from([None, 0.5, 0.95, 1.5])), max_size=12))
 def test_without_a_rule_an_alarm_follows_its_condition_at_once(conditions):
-    """What it did before there were delays."""
+    """The behavior is that of a version without delays."""
     alarm, row, expected = Alarm(), None, []
     for at_s, (present, times_limit) in enumerate(conditions):
         alarm.update(at_s, present, times_limit)

@@ -1,4 +1,4 @@
-"""A proof in an operator's words: units, limit, by how much it is passed; what it lacks is not said."""
+"""Evidence sentences of an alarm: units, limit and ratio to the limit; absent values are left out."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The table of what to do: every kind of alarm is in it, and the how-to shows it."""
+"""Operator guidance: every alarm kind has an entry, and the how-to page shows it."""
 
 import re
 from pathlib import Path

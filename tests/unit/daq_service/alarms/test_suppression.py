@@ -1,4 +1,4 @@
-"""Alarms on the shelf and out of service: told apart, told again in time, whatever their condition does."""
+"""Shelved and out-of-service alarms: counted separately and active again after the set time."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The archive gives back what it was given, and says what it cannot."""
+"""The archive returns the stored data or names what cannot be read."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +38,7 @@ from hardware_drivers.units import unit_of
 
 
 def store(folder, record):
-    """Path of the set's file."""
+    """Store a set and return the path of its file."""
     return folder / FiledArchive(folder).store_set(record).file
 
 
@@ -112,7 +112,7 @@ def test_sets_are_listed_in_their_order_and_strangers_left_out(tmp_path):
 
 
 def as_format_1_0(path):
-    """Take out what format 1.0 did not have."""
+    """Remove what format 1.0 did not have."""
     with h5py.File(path, "r+") as file:
         file.attrs["solimon_format_version"] = "1.0"
         entry = file["entry"]
@@ -219,7 +219,7 @@ def test_a_damaged_group_costs_its_own_shots_only(stored):
 
 
 def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
-    """Either an error names the damage, or all that can be read is what was stored."""
+    """Either an error names the corruption, or all readable data equal the stored data."""
     whole = stored.read_bytes()
     intact = everything(stored)
     path = tmp_path / "flipped.h5"
@@ -241,7 +241,7 @@ def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
 
 
 def everything(path):
-    """Every dataset and attribute of a file as bytes, axes and text as text."""
+    """Return every dataset and attribute of a file as bytes, axes and text as text."""
     found = {}
 
     def visit(name, item):

@@ -1,4 +1,4 @@
-"""Chunks that are filtered outside of HDF5 are read by HDF5's own filters."""
+"""Chunks that are filtered outside of HDF5 are read by the filters of HDF5."""
 
 import shutil
 import subprocess
@@ -15,7 +15,7 @@ SAMPLES = 13_000
 
 
 def record(rms_counts, dtype=np.int16, n=SAMPLES, seed=1):
-    """Two pulses in white noise."""
+    """Return two pulses in white noise."""
     time = np.arange(n) - n / 4
     pulse = 8_000 * np.exp(-((time / 300) ** 2)) + 4_000 * np.exp(-(((time - n / 3) / 300) ** 2))
     return np.rint(pulse + np.random.default_rng(seed).normal(0.0, rms_counts, n)).astype(dtype)
@@ -29,7 +29,7 @@ def file_with(path, values, chunk):
 
 
 def by_hdf5(path, values, chunk):
-    """The same array through the filters of HDF5."""
+    """Return the same array after the filters of HDF5."""
     with h5py.File(path, "w") as file:
         file.create_dataset(
             "values",

@@ -1,4 +1,4 @@
-"""The journal's segments on a disk that refuses: nothing is acknowledged that is not synced, nothing lost."""
+"""Journal segments on a failing disk: only synced data are acknowledged, and no data are lost."""
 
 import errno
 import os
@@ -42,7 +42,7 @@ def append_set(archive, record):
 
 
 class Refusing:
-    """A call of the system that fails a number of times, and how often it was called on which file."""
+    """System call double that fails a number of times and counts its calls for each file."""
 
     def __init__(self, call, times, error=errno.ENOSPC):
         self.call, self.times, self.error = call, times, error
@@ -66,7 +66,7 @@ def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, mon
 
 
 def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
-    """The second one may succeed although the data are gone."""
+    """The second sync may succeed although the data are lost."""
     append_set(archive, make_set())
     opened, real = [], os.open
 
@@ -111,14 +111,14 @@ def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, 
 
 
 def test_a_nearly_full_disk_is_used_to_its_end(archive, monkeypatch):
-    """No room for a whole segment is no reason to refuse a record."""
+    """A record is written even if a whole segment does not fit."""
     monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
     append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 
 
 def test_segments_go_with_their_last_set(tmp_path):
-    """Sets of several segments, segments of several sets."""
+    """Sets have several segments, and segments have several sets."""
     small = 3 * RECORDS[0].waveform.counts.nbytes
     sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
     with closing(FolderArchive(tmp_path)) as archive:
@@ -137,7 +137,7 @@ def test_segments_go_with_their_last_set(tmp_path):
 
 
 def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
-    """A set goes over syncs, segments and a restart; its neighbours need not be read for it."""
+    """A set extends over syncs, segments and a restart; no other set is read with it."""
     first, second, third = (other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3))
     small = 4 * RECORDS[0].waveform.counts.nbytes
     with closing(FolderArchive(tmp_path)) as archive:
@@ -205,7 +205,7 @@ def no_file(number):
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EMFILE, errno.ENOENT], ids=errno.errorcode.get)
 def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, monkeypatch, number):
-    """Damage is not tried again, and a set that the journal is said not to have would be forgotten there."""
+    """Corruption is not retried, and a set that is reported absent from the journal would be lost."""
     archive.store_set(make_set())
 
     with monkeypatch.context() as patch:
@@ -216,7 +216,7 @@ def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, mon
 
 
 def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monkeypatch):
-    """A start sets damaged files without rows aside, and must not take this one for such."""
+    """A start quarantines corrupt files without rows and must not quarantine this one."""
     stored = archive.store_set(make_set())
     compact_set(tmp_path, SET_INDEX)
     monkeypatch.setattr(reader.h5py, "File", no_file(errno.EMFILE))
@@ -246,7 +246,7 @@ def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
 
 
 def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
-    """The end is there and a record is not: nobody was told of the set, and it is taken again."""
+    """The end is stored and a record is missing: the set was not acknowledged and is taken again."""
     append_set(archive, make_set())
     archive.store_set(make_set())
     (path,) = segments(tmp_path).values()

@@ -1,4 +1,4 @@
-"""Frames: whatever is cut or flipped, what is read is what was written; only the damaged one is lost."""
+"""Journal frames: after a cut or a flipped bit only the corrupt frame is lost."""
 
 import pytest
 from support.archived_sets import make_set, make_shot
@@ -37,7 +37,7 @@ def test_a_number_that_json_has_no_word_for_comes_back(odd):
 
 
 def test_a_flipped_bit_costs_one_frame_at_most():
-    """Sound frames are exactly those that were written; one that begins elsewhere is none."""
+    """The intact frames are exactly the written ones; a frame at another offset is invalid."""
     step = 13  # every byte would take half a minute; this meets every field of header, facts and counts
     for place in range(0, len(SEGMENT), step):
         content = bytearray(SEGMENT)

@@ -1,4 +1,4 @@
-"""A set's file that leads elsewhere or claims more than it holds is refused before anything is read."""
+"""A set file with external links or wrong sizes is rejected before any data are read."""
 
 import re
 import sys
@@ -102,7 +102,7 @@ def _empty_rows(entry, _):
 
 
 def _inflated_column(entry, _):
-    """Forty million equal numbers in 311 kB: deflate alone could explain them, the records cannot."""
+    """Return forty million equal numbers in 311 kB: deflate can explain them, the records cannot."""
     del entry[COLUMN]
     n = 1_000_000
     entry.create_dataset(COLUMN, data=np.zeros(n, "<i8"), chunks=(n,), compression="gzip")

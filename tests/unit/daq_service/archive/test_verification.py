@@ -1,4 +1,4 @@
-"""Damaged files and segments: named, or every value that is read is the one that was written."""
+"""Corrupt files and segments are reported, or every value that is read equals the written one."""
 
 import hashlib
 import struct
@@ -120,7 +120,7 @@ def append_set(archive, record):
 
 @pytest.fixture
 def journal(tmp_path):
-    """A whole set and an open one."""
+    """Return a folder with a complete and an open set."""
     with closing(FolderArchive(tmp_path)) as archive:
         append_set(archive, make_set())
         archive.store_set(make_set())
@@ -129,7 +129,7 @@ def journal(tmp_path):
 
 
 def parsed_line(folder):
-    """Everything that a start would take from the journal."""
+    """Return everything that a start reads from the journal."""
     found = read_journal(folder)
     return {
         index: bits(item.record() if item.is_whole else item.opened()) if item.end or item.begin else None
@@ -180,7 +180,7 @@ def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
 
 
 def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
-    """Of an open set nothing names its records."""
+    """In an open set no other entry names its records."""
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 1000 + 42)
@@ -193,7 +193,7 @@ def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
 
 @pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
 def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
-    """Of a segment that was not allocated at once: on one that was, whole pages of zeros follow."""
+    """The segment is not preallocated; in a preallocated one, pages of zeros follow."""
     path = segment_path(journal, 1)
     content = path.read_bytes()
     last = [*frame_format.frames(content)][-1]

@@ -1,4 +1,4 @@
-"""Records reduced to cells: against the definition, sample by sample, and against known shifts."""
+"""Records reduced to cells: compared with the definition sample by sample and with known shifts."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from hardware_drivers.measurement import Waveform
 
 
 def by_definition(waveform: Waveform, anchor_s: float, frame: Frame) -> np.ndarray:
-    """Each sample by itself into the cell into which its time after the anchor falls."""
+    """Put each sample into the cell of its time after the anchor."""
     planes = np.full((2, frame.n_cells), np.nan, dtype=np.float32)
     for sample, volts in enumerate(waveform.volts().astype(np.float32)):
         after = round((sample - waveform.pretrigger_samples) - anchor_s * waveform.sample_rate_hz, 9)
@@ -49,7 +49,7 @@ def test_a_frame_holds_the_whole_record_in_few_cells():
 
 
 def test_records_shifted_by_known_fractions_of_a_sample_lie_over_one_another():
-    """The same pulse at 64 times, a part of a sample apart: aligned, no peak is a cell away from another."""
+    """The same pulse at 64 fractions of a sample: after alignment no peak is a cell off."""
     scene = Scene(ssw_fraction=0.0)
     frame = frame_of(scene.waveform(), "first").part(None, None, 1)
     peaks, at_trigger = [], []

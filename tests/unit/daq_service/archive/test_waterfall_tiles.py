@@ -1,4 +1,4 @@
-"""Pictures from tiles are those computed from the records, whatever of the tiles is gone, torn or foreign."""
+"""Waterfall figures from tiles equal those from the records, even if tiles are missing, torn or foreign."""
 
 import shutil
 from dataclasses import replace
@@ -22,7 +22,7 @@ EXPERIMENT = "ab/1"
 
 
 def a_set(index: int, n_samples: int = 300):
-    """Two records of noise at B, whose first pulse lies a fraction of a sample elsewhere in each."""
+    """Return two records of noise at B whose first pulses differ by a fraction of a sample."""
     shots = [make_shot("B", k, 10_000 + 2 * index + k, n_samples=n_samples) for k in range(2)]
     record = replace(
         make_set(),
@@ -43,7 +43,7 @@ def a_set(index: int, n_samples: int = 300):
 
 
 class Stored:
-    """Sets in memory, as a picture's index and source; counts what is read."""
+    """Sets in memory as the index and source of a figure; counts the reads."""
 
     def __init__(self, n_sets: int = N_SETS, n_samples: int = 300) -> None:
         self.archive = MemoryArchive()
@@ -71,7 +71,7 @@ class Stored:
             keep_set(folder, experiment, self.records[index], self._anchors[index])
 
     def expected(self, tiles, frame, first, last, row_sets=1):
-        """Rows straight from the records, by the cells of the frame."""
+        """Return the rows computed from the records with the cells of the frame."""
         rows = {}
         for index in range(first // row_sets * row_sets, (last // row_sets + 1) * row_sets):
             for shot in self.records[index].shots if index in self.files else ():
@@ -102,7 +102,7 @@ def stored():
 
 @pytest.fixture(scope="module")
 def kept(stored, tmp_path_factory):
-    """A folder with the tiles of all sets."""
+    """Return a folder with the tiles of all sets."""
     folder = tmp_path_factory.mktemp("kept")
     stored.keep(folder)
     return folder
@@ -123,7 +123,7 @@ def tiles(tmp_path, stored):
 
 
 def drawn(stored, tiles, wanted, reader=None):
-    """Ask until everything was read."""
+    """Request the figure until everything was read."""
     reader = reader or WaterfallReader(stored)
     for _ in range(N_SETS):
         picture = reader.picture(tiles, stored, wanted)
@@ -186,7 +186,7 @@ def test_a_whole_picture_reads_no_record(copied, stored, tiles):
 
 
 def damaged(path):
-    """Flip a bit of a sample of the third row, where there is one: a NaN would stay one."""
+    """Flip a bit of a sample of the third row if it exists; in a NaN the flip would have no effect."""
     n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
     content = bytearray(path.read_bytes())
     content[512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2] ^= 0x40
@@ -236,7 +236,7 @@ def test_tiles_of_another_experiment_are_not_taken_and_give_way(tmp_path, stored
 
 
 def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
-    """The disk refused one set's tile: the rows above it count too few, and its records are read."""
+    """The disk rejected the tile of one set: rows above it lack a set, so its records are read."""
     stored.keep(tmp_path, indices=[index for index in stored.files if index != SPIKED])
     before = stored.n_read
     picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
@@ -249,7 +249,7 @@ def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
 
 
 def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
-    """A disk that refuses new folders costs no tile in those that it has."""
+    """A disk that rejects new folders costs no tile in the existing ones."""
     tile = copied / TILES_FOLDER / "B" / "first" / "0001-000000.tile"
     whole = tile.read_bytes()
     tile.unlink()

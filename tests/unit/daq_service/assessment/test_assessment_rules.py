@@ -1,4 +1,4 @@
-"""What the configuration says of judging a transducer."""
+"""Rules that the configuration sets for the assessment of a transducer."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What becomes of a baseline."""
+"""Lifecycle of a baseline."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The recorder's verdicts name a cause, remember what it rests on, and raise the alarm that fits it."""
+"""Assessments have a diagnosis, keep its state across restarts, and raise the matching alarm."""
 
 import json
 from dataclasses import replace
@@ -112,7 +112,7 @@ def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
 
 
 def origins(causes, n=5):
-    """Say after each set whether a change comes from elsewhere; it stands from the fourth one on."""
+    """Return a letter for each set: `e` if the change is of another origin than the wall, else `w`."""
     origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
         origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)

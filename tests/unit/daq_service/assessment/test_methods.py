@@ -1,4 +1,4 @@
-"""Every measuring method has an entry that the line and its views can use."""
+"""Every measuring method has an entry that the recording line and its views can use."""
 
 from typing import get_args
 

@@ -1,4 +1,4 @@
-"""From an echo to a row: no number without a back wall, clipping told, the V-shaped path taken off."""
+"""From an echo to a row: no value without a back wall, clipping flagged, V-path corrected."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Results in a file are a copy: what differs from the rows is told, and of the same extractor only."""
+"""The results in a file are a copy: differences from rows of the same extractor are reported."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The pure step: baseline, limits, outliers, holes and poor sets, from plain numbers."""
+"""The pure assessment step with plain numbers: baseline, limits, outliers, holes and poor sets."""
 
 from dataclasses import replace
 from functools import reduce
@@ -49,7 +49,7 @@ def a_set(index, *, shift=0.0, quality="good", n_valid=4, n_taken=4, n_tried=4, 
 
 
 def states(sets, rules=RULES, state=None):
-    """Feed sets; every state and verdict."""
+    """Assess sets one after the other; return every state and assessment."""
     found = []
     state = state or State()
     for one in sets:
@@ -233,7 +233,7 @@ def test_a_limit_is_added_by_its_entry_alone(monkeypatch):
 
 
 def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
-    """As of records that are played back again and again."""
+    """Records that are played back repeatedly have such features."""
     name = FEATURE_NAMES[0]
     stuck = [
         replace(one, values=one.values | {name: 1.0 if one.set_index % 4 else one.values[name]})

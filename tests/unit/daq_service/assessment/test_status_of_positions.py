@@ -1,4 +1,4 @@
-"""How a position stands."""
+"""Status of a position."""
 
 from dataclasses import replace
 

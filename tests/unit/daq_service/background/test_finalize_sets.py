@@ -1,4 +1,4 @@
-"""Files are made beside the line: what fails is told, tried again, and costs nothing."""
+"""Set files are made in the background: an error is reported and retried and costs no set."""
 
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -14,7 +14,7 @@ from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
 
 
 class Broken(Executor):
-    """A worker that was killed."""
+    """Worker double that was killed."""
 
     def submit(self, work, /, *arguments, **named):
         future = Future()

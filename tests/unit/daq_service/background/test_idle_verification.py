@@ -1,4 +1,4 @@
-"""Stored sets are read while nothing is due: one at a time, never before a strike; damage is an alarm."""
+"""Stored sets are verified in idle time, one at a time, never before a strike; corruption raises an alarm."""
 
 import math
 from concurrent.futures import Executor, Future
@@ -23,7 +23,7 @@ LONG_S = 1000.0
 
 
 class Reading(AtOnce):
-    """Reads in this thread, and notes what."""
+    """Executor double that reads in this thread and records the files."""
 
     def __init__(self):
         self.files = []
@@ -35,14 +35,14 @@ class Reading(AtOnce):
 
 @pytest.fixture
 def stored(tmp_path):
-    """Files of three sets by their references."""
+    """Return the files of three sets by their references."""
     archive = FiledArchive(tmp_path)
     records = [other_set(make_set(), SET_INDEX + n) for n in range(3)]
     return [archive.store_set(record).file for record in records]
 
 
 class Idle:
-    """An idle check on a folder, at a clock of its own."""
+    """Idle check of a folder with its own clock."""
 
     def __init__(self, folder, worker=None):
         self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
@@ -64,7 +64,7 @@ class Idle:
         self.noted[set_index] = sha256
 
     def steps(self, count, free_s=LONG_S):
-        """So many files, each at its time, and what is wrong then."""
+        """Check a number of files, each at its time; return the corrupt ones."""
         for _ in range(count):
             self.check.work(free_s)
             self.check.work(free_s)
@@ -107,7 +107,7 @@ def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_t
 
 
 def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
-    """Of an older folder's year of files none was noted; what is damaged is not blessed."""
+    """An older folder has no digests; a corrupt file must not get one."""
     idle = Idle(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
     damaged.write_bytes(damaged.read_bytes()[:-2000])
@@ -152,7 +152,7 @@ def test_a_worker_that_dies_is_no_damage(tmp_path, stored):
 
 
 class IdleCheckDouble:
-    """Stands for an idle check that knows of damage."""
+    """Idle check double with given corruption."""
 
     def __init__(self, damaged=()):
         self.damaged, self.known, self.free_s = dict(damaged), None, []
@@ -195,7 +195,7 @@ def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, 
 
 
 def test_a_start_reads_few_files_of_an_older_folder_and_leaves_the_others_to_its_idle_hours():
-    """A year's files take hours, and no heartbeat comes while a start reads."""
+    """The files of a year take hours, and a start sends no heartbeat while it reads."""
     catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
     session._note_digests(catalogue, archive, lambda *values: noted.append(values))

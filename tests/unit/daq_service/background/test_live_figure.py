@@ -52,7 +52,7 @@ def test_a_picture_is_replaced_at_most_ten_times_a_second(tmp_path: Path) -> Non
 
 
 def test_on_a_slow_disk_pictures_are_rarer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two positions, 4 ms a picture: each has one in 0.8 s, so both take a hundredth of the time."""
+    """Two positions, 4 ms per figure: each gets one in 0.8 s, so both take 1 % of the time."""
     now = [1_000_000_000]
     written = Path.write_bytes
 

@@ -1,4 +1,4 @@
-"""Tiles grow beside the line: what fails with them is a line of the log, and costs neither set nor test."""
+"""Tiles are written in the background: an error is logged and costs neither set nor test."""
 
 import logging
 import shutil
@@ -31,7 +31,7 @@ RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
 
 
 class Line:
-    """A folder with some sets, and what adds them to tiles on a clock of its own."""
+    """Folder with some sets, and the task that adds them to tiles, on its own clock."""
 
     def __init__(self, folder):
         self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
@@ -55,7 +55,7 @@ class Line:
         return partial(tile_record, self.folder, "ab/1", anchors_of(results)) if self.room else None
 
     def file(self, *, room=True):
-        """Have all sets get their files; with no room they get no tiles."""
+        """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for index in self.files:
             self.compaction.put(index)
@@ -70,7 +70,7 @@ class Line:
         return [index for index in self.files if self.tiles().is_kept(index)]
 
     def work(self, free_s=0.0):
-        """Have one turn done, and taken back."""
+        """Run the task once and collect its result."""
         self.tiling.work(free_s)
         self.tiling.work(0.0)
 
@@ -159,7 +159,7 @@ def life(tmp_path_factory):
 
 @pytest.fixture
 def older(life, tmp_path):
-    """A copy of a folder of an earlier version: without tiles."""
+    """Return a copy of a folder of an earlier version, without tiles."""
     folder = tmp_path / "copy"
     shutil.copytree(life.folder, folder)
     shutil.rmtree(folder / TILES_FOLDER, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""The catalogue stores a set in one piece and gives rows that are ready for JSON."""
+"""The catalogue stores a set in one transaction and returns rows that are ready for JSON."""
 
 import json
 import math
@@ -89,7 +89,7 @@ def set_row(index, position, state="done", n_taken=2, **changes):
 
 
 def stored(row):
-    """Row for SQL."""
+    """Return the row as SQL values."""
     return storable(replace(row, id=1))
 
 
@@ -197,7 +197,7 @@ def baseline_row(name="B-1", position="B"):
 
 
 def commit_of(index, positions="BC"):
-    """A set of two shots a position, its mean feature, verdict and event; A has an echo."""
+    """Return a commit of two shots per position with mean feature, assessment and event; A has an echo."""
     rows = {name: [] for name in ("sets", "shots", "features", "assessments", "thickness", "events")}
     for number, position in enumerate(positions):
         sequence = 100 * index + 10 * number + 1
@@ -248,7 +248,7 @@ def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp
     found = iter(range(often))
 
     class InTheMaking(sqlite3.Connection):
-        """Whose schema is at odds as often as a reader looks."""
+        """Connection whose schema is inconsistent for a number of reads."""
 
         def execute(self, sql, *values):
             if "sqlite_master" in sql and next(found, None) is not None:
@@ -888,7 +888,7 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
 
 
 def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):
-    """One refused open, and SQLite opens the file for reading without a word: nothing would be stored."""
+    """After one failed open, SQLite silently opens the file read-only: nothing would be stored."""
     begin(tmp_path).close()
     connect, refused = sqlite3.connect, []
 

@@ -1,4 +1,4 @@
-"""A look at a catalogue that a recorder opens meanwhile."""
+"""Reading of a catalogue that a recorder opens at the same time."""
 
 import sqlite3
 from contextlib import ExitStack
@@ -14,7 +14,7 @@ def test_a_recorder_that_starts_while_rows_are_read_is_no_damage(tmp_path):
     with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
 
         class Changed:
-            """What was opened as a file that does not change."""
+            """Connection of a file that was opened as immutable and has changed."""
 
             def execute(self, sql, values):
                 recorder.enter_context(open_catalogue(tmp_path, writer=True))

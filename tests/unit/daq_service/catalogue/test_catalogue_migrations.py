@@ -1,4 +1,4 @@
-"""The migrations make exactly the tables that the code describes, or nothing."""
+"""The migrations make exactly the tables that the code describes."""
 
 import re
 import sqlite3
@@ -24,7 +24,7 @@ from daq_service.commands.deadline import command_state
 
 
 def schema_of(path):
-    """Definition of every table and index as text without layout."""
+    """Return the definition of every table and index as text without layout."""
     database = sqlite3.connect(path)
     rows = database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
     database.close()
@@ -40,14 +40,14 @@ def schema_of(path):
 
 
 def columns_and_constraints(sql):
-    """Parts of a definition in any order: constraints may stand where they like."""
+    """Return the parts of a definition sorted, as constraints may be anywhere."""
     first, last = sql.index("("), sql.rindex(")")
     # A comma inside a pair of brackets separates nothing.
     return sql[:first], sorted(re.split(r", (?![^(]*\))", sql[first + 1 : last])), sql[last:]
 
 
 def upgrade(path, revision):
-    """Bring a file to a revision by the migrations alone."""
+    """Migrate a file to a revision by the migrations alone."""
     engine = connection.make_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
@@ -58,7 +58,7 @@ def upgrade(path, revision):
 
 
 def test_migrated_and_described_schema_are_the_same(tmp_path):
-    """A new catalogue is made as described, an older one is migrated."""
+    """A new catalogue is created as described, an older one is migrated."""
     open_catalogue(tmp_path, writer=True).close()
     upgrade(tmp_path / "migrated.sqlite", "head")
     migrated = schema_of(tmp_path / "migrated.sqlite")

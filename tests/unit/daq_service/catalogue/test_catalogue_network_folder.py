@@ -1,4 +1,4 @@
-"""Which folders are on a network, told from Linux's list of mounts."""
+"""Detection of network folders from the mount list of Linux."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""experiment.json: what a lost catalogue's folder belongs to."""
+"""experiment.json identifies the test of a folder that lost its catalogue."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The history follows the catalogue; whatever befalls a line of it, the others are read."""
+"""The history follows the catalogue; if a line is corrupt, the others are read."""
 
 import os
 from dataclasses import replace
@@ -59,7 +59,7 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
 
 
 def stored(catalogue, set_index, sha256=None):
-    """A set's row and its event, as the recorder commits them."""
+    """Commit the row and event of a set as the recorder does."""
     row = replace(set_row("A", file=f"sets/{set_index}.h5", file_sha256=sha256), set_index=set_index)
     event = EventRow(utc_ns=0, topic="sets", kind="set_done", position="A", set_index=set_index, payload={})
     catalogue.commit_set(SetCommit(sets=[row], events=[event]))

@@ -1,4 +1,4 @@
-"""What is asked every day is found in an index, and is what reading every row would have given."""
+"""Frequent queries use an index and return what reading every row would return."""
 
 import random
 import re
@@ -27,7 +27,7 @@ GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", 
 
 
 def random_catalogue(folder, seed):
-    """Sets of a probe and two transducers, many with something missing, all in the order of the plan."""
+    """Return a catalogue of a probe and two transducers, many sets incomplete, in the order of the plan."""
     chance, sequence = random.Random(seed), 0
     catalogue = new_catalogue(folder)
     for index in range(30):
@@ -75,7 +75,7 @@ def random_catalogue(folder, seed):
 
 
 def plainly(rows, filters):
-    """The same filters by looking at every row."""
+    """Apply the same filters to every row."""
     conditions = {
         "first_h": lambda row, hour: row.due_h >= hour,
         "last_h": lambda row, hour: row.due_h <= hour,

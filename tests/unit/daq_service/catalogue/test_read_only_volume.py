@@ -1,4 +1,4 @@
-"""A catalogue on a medium that nobody can write."""
+"""A catalogue on a read-only volume."""
 
 import os
 from types import SimpleNamespace

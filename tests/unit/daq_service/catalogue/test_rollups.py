@@ -1,4 +1,4 @@
-"""Trends and fits from blocks against plain numbers of all rows, whatever happened to the sets."""
+"""Trends and fits from rollup blocks equal those from all rows, for sets of every state."""
 
 import random
 from dataclasses import replace
@@ -27,7 +27,7 @@ VALUES = ("tof_pp_s", "amplitude_ratio")
 
 
 def random_sets(folder, seed):
-    """Sets of one position, with the rows of each; judged again, late, missed, retired, without values."""
+    """Return sets of one position and their rows: assessed again, late, missed, disabled, without values."""
     chance = random.Random(seed)
     catalogue, rows_by_set, waiting = new_catalogue(folder), {}, []
     retired = range(200, 240)
@@ -112,7 +112,7 @@ def test_bins_say_what_all_rows_say(tmp_path, seed):
 
 
 def compare(rows, found):
-    """One bin against the rows of its sets."""
+    """Compare one bin with the rows of its sets."""
     assert (found["first_set"], found["last_set"]) == (min(rows), max(rows))
     done = [row for row in rows.values() if row["state"] == "done"]
     assert (found["n_sets"], found["n_missed"]) == (

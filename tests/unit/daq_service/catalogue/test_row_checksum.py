@@ -1,4 +1,4 @@
-"""The checksum of a row: the same before it is stored and after it is read, another for any other value."""
+"""The checksum of a row is the same before and after storage and differs for any other value."""
 
 import sqlite3
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""A row, its table, its answer and its event say the same columns."""
+"""A row, its table, its response and its event have the same columns."""
 
 import dataclasses
 from types import NoneType
@@ -21,7 +21,7 @@ EXAMPLES = {bytes: b"\x00\xff", bool: True, dict: {}, float: 1.5, int: 7, list: 
 
 
 def example(kind):
-    """Return a row with something in every column."""
+    """Return a row with a value in every column."""
     given = {}
     for column in rows.columns_of(kind):
         (of_type,) = [part for part in alternatives(column.type) if part is not NoneType]

@@ -1,4 +1,4 @@
-"""A certificate says of a test what its rows say, with units and reasons, and judges it by written limits."""
+"""An acceptance report states the rows of a test with units and reasons, and compares them with limits."""
 
 import html as markup
 import json
@@ -58,7 +58,7 @@ def watch():
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory):
-    """A folder of twelve sets with seeded faults."""
+    """Return a folder of twelve sets with seeded faults."""
     line = Line(tmp_path_factory.mktemp("faulty"), script=script)
     assert line.run(machine=watch())
     return line.folder
@@ -81,7 +81,7 @@ def states(made):
 
 
 def certify(*words):
-    """Exit code, and standard output or the error."""
+    """Run the command; return the exit code and standard output or the error."""
     done = CliRunner().invoke(cli, ["certify", *map(str, words)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return getattr(done.exception, "exit_code", 1), str(done.exception)
@@ -151,7 +151,7 @@ def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faul
 
 @pytest.fixture
 def real(tmp_path):
-    """A test in real time, begun in 2024, whose recorder holds the folder."""
+    """Return a test in real time, started in 2024, whose recorder owns the folder."""
     filled = FilledFolder(tmp_path, load_settings(None, overrides={"clock": {"kind": "wall"}}))
     for index in range(3):
         filled.add_set(index)
@@ -283,7 +283,7 @@ def readings(values, *, recorder=1, first=0):
 
 
 def memory(evidence, machine):
-    """Largest memory and its growth."""
+    """Return the maximum memory and its growth."""
     return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes", "memory", "B"))
 
 
@@ -425,7 +425,7 @@ def test_a_number_is_shown_with_its_unit(arguments, text):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Folder of a short test on the twin with files, as it was recorded."""
+    """Return the folder of a short test on the twin with files."""
     return lay_out(tmp_path_factory.mktemp("recorded") / "data")
 
 

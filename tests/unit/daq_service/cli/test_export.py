@@ -1,4 +1,4 @@
-"""One file of a whole test: its records are those of the sets' files, its columns those of the catalogue."""
+"""Export of a whole test to one file: its records equal the set files, its columns the catalogue."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ SETS = 3
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    """A folder whose recorder runs; its name is one that HDF5 could misunderstand."""
+    """Return a folder whose recorder runs; its name has characters that HDF5 could misread."""
     folder = tmp_path_factory.mktemp("data") / "50%b Ø"
     folder.mkdir()
     filled = FilledFolder(folder, Settings(), shots_per_set=2)
@@ -43,12 +43,12 @@ def running(tmp_path_factory):
 
 @pytest.fixture
 def folder(running, tmp_path):
-    """A copy of it in which no recorder runs."""
+    """Return a copy of the folder without a recorder."""
     return shutil.copytree(running, tmp_path / "data")
 
 
 def solimon(*words):
-    """Exit code, and standard output or the error."""
+    """Run the command; return the exit code and standard output or the error."""
     done = CliRunner().invoke(cli, [*map(str, words), "--json"])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return done.exception.exit_code, str(done.exception)
@@ -56,7 +56,7 @@ def solimon(*words):
 
 
 def records_of(folder, position):
-    """Records of all sets that have a file, in their order."""
+    """Return the records of all sets with a file, in order."""
     return [
         record
         for path in set_files(folder).values()

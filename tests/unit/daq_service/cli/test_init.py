@@ -1,4 +1,4 @@
-"""`solimon init`: what is written loads and runs as it is, or says what is missing."""
+"""`solimon init`: the written file loads and runs, or names the missing values."""
 
 import json
 import tomllib

@@ -1,4 +1,4 @@
-"""What `check-config` says of a planned test."""
+"""Output of `check-config` for a planned test."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Every end of a command is a code of the table and one line; every word and option is explained."""
+"""Every command ends with a documented exit code and one line; every command and option has a help text."""
 
 import os
 import re
@@ -123,7 +123,7 @@ def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> No
 
 
 def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
-    """Its supervisor started it again: the disk may come back."""
+    """Its supervisor restarted it: the disk may be available again later."""
     folder = tmp_path / "data"
     again = ("--restart-reason", "crashed")
     done = solimon_here("serve", "--data-dir", str(folder), *again, env={})

@@ -1,4 +1,4 @@
-"""A folder that is looked at, mended and copied; beside a recorder, and with every kind of damage."""
+"""Verification, repair and backup of a folder, during a test and with every kind of corruption."""
 
 import json
 import os
@@ -71,7 +71,7 @@ def change(folder, sql):
 
 
 def hit_a_record(folder, index):
-    """Damage the first record of position B, and return its id."""
+    """Corrupt the first record of position B and return its id."""
     record = FolderSetReader(folder).read_set(FILES[index])
     shot = next(item for item in record.shots if item.key.position == "B")
     content = (folder / FILES[index]).read_bytes()
@@ -300,13 +300,13 @@ def test_a_folder_without_a_test_is_no_clean_one(tmp_path):
 
 
 def values_of(folder):
-    """What a reader gets of all tables."""
+    """Return what a reader gets of all tables."""
     with open_catalogue(folder) as catalogue:
         return {kind: catalogue.rows(kind) for kind in KINDS_OF_ROWS}
 
 
 def one_damaged_catalogue(folder, number):
-    """Damage a copy; whether verify names it: what it does not name reads as it was written."""
+    """Corrupt a copy; return whether verify reports it, or check that it reads unchanged."""
     content = lay_out(folder).joinpath("catalogue.sqlite").read_bytes()
     before = values_of(folder)
     for sidecar in folder.glob("catalogue.sqlite-*"):
@@ -331,7 +331,7 @@ def test_a_corrupt_catalogue_is_reported_or_reads_unchanged(tmp_path, numbers):
 
 
 def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
-    """Looked at and copied between the strikes of every set, while sets move from the journal to files."""
+    """The folder is verified and copied between strikes while sets move from the journal to files."""
     settings = small_settings(schedule={**SMALL["schedule"], "end_h": 2.0})
     data, copy, looked = tmp_path / "data", tmp_path / "copy", []
 

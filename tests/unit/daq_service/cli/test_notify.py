@@ -1,4 +1,4 @@
-"""`notify test` and what `check-config` and a start say of receivers."""
+"""`notify test`, and the messages of `check-config` and a start about receivers."""
 
 import json
 

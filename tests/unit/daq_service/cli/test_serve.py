@@ -1,4 +1,4 @@
-"""`solimon serve PATH...`: which paths mean one test, which several, and whose doors they have."""
+"""`solimon serve PATH...`: paths of one test, of several tests, and their authentication."""
 
 import socket
 from pathlib import Path
@@ -15,7 +15,7 @@ from daq_service.web.context import context_of
 
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """What would be served: applications and their settings; nobody listens."""
+    """Return the list of applications and settings that would be served; no port is opened."""
     found = []
 
     def serve_app(app, web, port):

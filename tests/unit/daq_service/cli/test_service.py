@@ -1,4 +1,4 @@
-"""`solimon service`: what the system's own programs and our command line say of what it writes."""
+"""`solimon service`: its files are checked with the system's own programs and the command line."""
 
 import configparser
 import json
@@ -51,7 +51,7 @@ def written(config: Path, manager: str, *options: str) -> dict[str, Any]:
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    """A configuration with a supply, where no path is plain."""
+    """Return a configuration with a supply and special characters in each path."""
     folder = tmp_path / "my $HOME, 5 % 'and' \"more\""
     folder.mkdir()
     file = folder / "lab.toml"
@@ -72,7 +72,7 @@ def units(config: Path) -> dict[str, configparser.ConfigParser]:
 
 
 def verify(*files: str) -> str:
-    """Ask systemd itself; empty where it has nothing to say."""
+    """Check a unit with systemd; return its messages."""
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here: it comes with the package systemd")
     command = ["systemd-analyze", "verify", "--man=no", *files]
@@ -85,7 +85,7 @@ def test_systemd_verifies_the_units(config: Path) -> None:
 
 
 def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> None:
-    """The check above can fail."""
+    """This shows that the check above can fail."""
     recorder = written(config, "systemd", "--user", "root")["files"][0]
     text = Path(recorder).read_text(encoding="utf-8")
     Path(recorder).write_text(text.replace("WatchdogSec=", "WatchdogSeconds="), encoding="utf-8")
@@ -113,7 +113,7 @@ def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
 
 
 def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
-    """Else it would end with the recorder, which it is there to outlive."""
+    """Otherwise it would end with the recorder, which it must outlive."""
     made = units(config)
     assert made["record"]["Unit"]["Wants"] == made["record"]["Unit"]["After"] == "solimon-drive.service"
     assert made["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"

@@ -1,4 +1,4 @@
-"""The parts of `solimon setup`: questions with two mouths, the page's guards, what answers for itself."""
+"""The parts of `solimon setup`: questions at terminal and page, guards of the page, detected instruments."""
 
 import io
 import os
@@ -32,7 +32,7 @@ LEAVE = Question(name="B.strike", text="Strike B", default="go on", choices=("st
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """A terminal at which nobody says anything until a test does; hung up at the end."""
+    """Return a terminal without input until a test writes some; it is closed at the end."""
     reading, writing = os.pipe()
     with os.fdopen(reading, encoding="utf-8") as ours, os.fdopen(writing, "w", encoding="utf-8") as theirs:
         monkeypatch.setattr("sys.stdin", ours)
@@ -49,7 +49,7 @@ def bench(**values):
 
 
 def asked_aside(dialogue, question, understood=str):
-    """The question waits in another thread; where its value will come."""
+    """Ask in another thread; return the queue of the answer."""
     value = queue.Queue()
     before = dialogue.number
     threading.Thread(target=lambda: value.put(dialogue.ask(question, understood))).start()
@@ -99,7 +99,7 @@ def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
 
 
 def test_a_second_answer_to_one_question_is_none_to_the_next(terminal):
-    """Page and terminal answer at once: what comes second must not strike."""
+    """Page and terminal answer at the same time: the later answer must not cause a strike."""
     dialogue = Dialogue()
     value = asked_aside(dialogue, HEIGHT, float)
     number = dialogue.number

@@ -1,4 +1,4 @@
-"""`solimon setup --kind`: instruments of any installed kind, from nothing to a file that is good."""
+"""`solimon setup --kind`: instruments of any installed kind, up to a valid file."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""How a test stands, as a person reads it."""
+"""Text of `solimon status`."""
 
 import re
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ SETS = N_BASELINE + 2
 
 @pytest.fixture
 def filled(tmp_path: Path) -> Iterator[FilledFolder]:
-    """A test that is being recorded, one set behind its baseline."""
+    """Return a running test that has one set after its baseline."""
     folder = FilledFolder(tmp_path, Settings())
     for index in (0, N_BASELINE - 1, N_BASELINE, SETS - 1):
         folder.add_set(index, stored=False)
@@ -36,7 +36,7 @@ def filled(tmp_path: Path) -> Iterator[FilledFolder]:
 
 
 def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed") -> None:
-    """Rows of a set that was not taken, or not as a whole."""
+    """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
     commit = SetCommit()
     for name in positions or filled.settings.positions:

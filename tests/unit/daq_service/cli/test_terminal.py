@@ -1,4 +1,4 @@
-"""What a running test tells in a log, and when a page is opened."""
+"""Progress output of a running test, and the condition to open the page."""
 
 import io
 import logging
@@ -18,7 +18,7 @@ GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door o
 
 
 class Log:
-    """A log of a test in which time passes as a test says."""
+    """Progress report with a clock that the test moves."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -156,7 +156,7 @@ def test_a_terminal_that_is_gone_ends_no_test(
 
 
 class HeldTerminal(io.StringIO):
-    """Takes nothing before it is released, as after Ctrl-S."""
+    """Stream that blocks until it is released, as a terminal after Ctrl-S."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""`solimon token`, and a service for others that is refused at its start until it has its locks."""
+"""`solimon token`, and a service for other users that does not start without tokens and TLS."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ TEXT_LENGTH = 43  # 256 bits as base64
 
 @pytest.fixture
 def token(tmp_path):
-    """Run `solimon token` over a folder: exit code, standard output, standard error."""
+    """Run `solimon token` on a folder; return exit code, standard output and standard error."""
 
     def run(*words):
         done = solimon_here("token", *words, "--data-dir", str(tmp_path), env={})

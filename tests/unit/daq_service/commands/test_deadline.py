@@ -1,4 +1,4 @@
-"""Until when an order stands: by the boot's time, which no step of UTC moves."""
+"""Deadline of a command in boot time, which is independent of UTC steps."""
 
 from dataclasses import replace
 

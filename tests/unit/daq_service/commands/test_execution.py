@@ -1,4 +1,4 @@
-"""The recorder's side of orders: done or refused one at a time, whatever happened before."""
+"""Execution of commands by the recorder: done or rejected, one at a time."""
 
 import threading
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ NS_PER_MS = 1_000_000
 
 
 class Switch:
-    """A corrosion drive that notes its orders and refuses more than 10 V."""
+    """Corrosion supply double that records its commands and rejects more than 10 V."""
 
     def __init__(self) -> None:
         self.done: list[tuple[Any, ...]] = []
@@ -51,7 +51,7 @@ class Switch:
 
 
 class Bench:
-    """A running test without its line: ledger, catalogue, listener; time passes by hand."""
+    """Running test without its line: set assessor, catalogue and listener on a manual clock."""
 
     def __init__(self, folder: Path, clock: Clock, switch: Switch | None) -> None:
         self.folder, self.clock, self.switch = folder, clock, switch
@@ -61,13 +61,13 @@ class Bench:
         self.restart()
 
     def confirmation(self, position: str, author: str, reason: str) -> Transaction:
-        """What the recorder would store, if the ledger allows it."""
+        """Return what the recorder would store if the set assessor allows it."""
         after = DueSet(set_index=0, due_h=0.5, due_utc_ns=round(0.5 * NS_PER_H))
         moment = Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None)
         return self.ledger.order_confirmation(after, position, author, reason, moment)
 
     def restart(self, *, begin: bool = True) -> None:
-        """What a new recorder process finds."""
+        """Open the folder as a new recorder process does."""
         rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
         self.ledger = SetAssessor(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
         test = RunningTest(
@@ -124,7 +124,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Iterator[Bench]:
-    """On the wall clock, without a supply."""
+    """Return a bench on the wall clock without a supply."""
     bench = Bench(tmp_path, WallClock(), None)
     yield bench
     bench.catalogue.close()
@@ -192,7 +192,7 @@ def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Benc
 def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_who_retired_it(
     bench: Bench,
 ) -> None:
-    """Nothing has returned to normal: what they were judged by is gone."""
+    """The condition has not returned to normal: the reference of the assessment is retired."""
     moment = Moment(utc_ns=0, due_h=HOUR, set_index=7)
     for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
         condition = Condition(
@@ -221,7 +221,7 @@ def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
 def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Meanwhile the interlock may have opened: a second time the supply would switch on by itself."""
+    """The interlock may have tripped meanwhile: a repetition would switch the supply on again."""
     assert bench.switch is not None
     order_id = bench.write("supply_on")
 
@@ -243,7 +243,7 @@ def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
 def test_what_an_order_stores_is_stored_with_its_answer(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever is killed behind the deed has given the answer."""
+    """A process that is killed after the command has stored its result."""
     orders = [
         bench.write("annotate", from_h=1.0, text="couplant renewed"),
         bench.write("hold", note="door open"),
@@ -270,7 +270,7 @@ def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench)
 def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever still found it pending at its deadline was told that nobody begins it."""
+    """A client that read it as pending at its deadline got the result that it is not executed."""
     start = bench.catalogue.start_command
 
     def slow_disk(order_id: int) -> None:

@@ -1,4 +1,4 @@
-"""One definition for each order: what forbids it, in the words of web and recorder."""
+"""One definition of each command: its preconditions, with the same messages in web and recorder."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Orders from the command line: written, answered, refused, or left for later."""
+"""Commands from the command line: stored, answered, rejected, or left pending."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -24,7 +24,7 @@ def beat(folder: Path, stage: Stage = "") -> None:
 
 
 class Recorder:
-    """Answers what waits each time the person looks again."""
+    """Recorder double that answers pending commands at each poll."""
 
     def __init__(self, folder: Path, catalogue: RecorderCatalogue, ownership: ExitStack) -> None:
         self.ownership = ownership

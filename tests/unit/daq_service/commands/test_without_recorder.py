@@ -1,4 +1,4 @@
-"""Orders to a test that nobody records: done once in the recorder's place, or refused."""
+"""Commands to a test without a recorder: executed once in its place, or rejected."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ HOLE = Condition(
 
 
 def ended_test(folder: Path) -> int:
-    """A folder with one alarm that waits, and nobody who records; the alarm's id."""
+    """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
         change = update(None, HOLE, Moment(utc_ns=5, due_h=5.0, set_index=1))
         assert change is not None

@@ -1,4 +1,4 @@
-"""Charge from readings: closed forms, gaps, boots, and what a restart carries on."""
+"""Charge from current readings: closed forms, gaps, boots, and continuation after a restart."""
 
 import functools
 import itertools
@@ -63,7 +63,7 @@ def test_a_decaying_current_approaches_its_closed_form_as_the_rule_must():
 
 
 def test_a_wall_of_the_papers_size_fits_faradays_law():
-    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h: the order of charge this bookkeeping is for."""
+    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h, the order of charge of such tests."""
     iron_kg = 2.3e-3 * 6.4516e-4 * 7800.0
     coulomb = iron_kg / 55.845e-3 * 2.0 * FARADAY_C_PER_MOL
     charge = integrated([10.0 * i for i in range(300 * 360 + 1)], lambda t: coulomb / (300.0 * 3600.0))

@@ -1,4 +1,4 @@
-"""The drive beside the line: what a restart finds of its interlock, and how the end of a test leaves it."""
+"""The supply seen from the line: the interlock after a restart, and the supply at the end of a test."""
 
 import pytest
 from support.serial_rig import TestClock
@@ -15,7 +15,7 @@ MOMENT = Moment(utc_ns=0, due_h=1.0, set_index=None)
 
 
 class Supply:
-    """A supply that is on; ``error`` is what it answers."""
+    """Supply double that is on; ``error`` is raised by each read."""
 
     def __init__(self, clock):
         self.clock, self.on, self.error = clock, True, None
@@ -33,14 +33,14 @@ class Supply:
 
 
 class NothingBefore:
-    """A catalogue without a row of the drive."""
+    """Catalogue double without a row of the supply."""
 
     def last_environment(self):
         return None
 
 
 def tripped(*, acknowledged=False):
-    """The alarm of an open interlock, as stored."""
+    """Return the stored alarm of a tripped interlock."""
     condition = Condition(
         position=None,
         kind="interlock_tripped",
@@ -55,7 +55,7 @@ def tripped(*, acknowledged=False):
 
 
 def watched(*alarms, off_at_end=False):
-    """A watch that a recorder begins with these alarms, its supply and what it stored."""
+    """Return a watch started with these alarms, its supply and the stored rows."""
     clock = TestClock()
     supply, stored = Supply(clock), []
     settings = RigSettings(

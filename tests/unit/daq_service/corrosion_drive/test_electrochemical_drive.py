@@ -1,4 +1,4 @@
-"""The corrosion drive on a scripted supply and a clock that the test moves."""
+"""The corrosion supply control on a scripted supply and a manual clock."""
 
 import pytest
 from support.scripted_supply import ScriptedSupply

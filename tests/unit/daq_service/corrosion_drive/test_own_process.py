@@ -1,4 +1,4 @@
-"""The process of the drive on a scripted supply and a clock that the test moves: also when nobody asks."""
+"""The supply process on a scripted supply and a manual clock, with and without a recorder."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -30,7 +30,7 @@ ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "cur
 
 
 class UtcSteps(TestClock):
-    """A clock whose UTC may be set."""
+    """Clock whose UTC can be set."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class UtcSteps(TestClock):
 
 
 class Bench:
-    """One supply, and the processes that own it one after the other."""
+    """One supply and the processes that own it one after the other."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.clock = folder, UtcSteps()
@@ -78,7 +78,7 @@ class Bench:
         return dict(self.process.answer({"id": 1, "do": do, **values}))
 
     def run(self, seconds: float, *, step_s: float = 5.0) -> None:
-        """Run it alone."""
+        """Run the process alone."""
         for _ in range(round(seconds / step_s)):
             if self.process.leaves:
                 return
@@ -299,7 +299,7 @@ def test_before_a_successor_with_another_port_it_switches_off(bench: Bench) -> N
 
 @pytest.mark.parametrize("port", ["COM4", "COM5"])
 def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: Path, port: str) -> None:
-    """It may be the wrong one: its successor may reach the supply."""
+    """The port may be wrong, and the next process may reach the supply."""
     write_kept(tmp_path, kept_now(DriveState(must_switch_off=True), supply_port="COM7"))
     bench = Bench(tmp_path)
     bench.supply.error = LOST

@@ -1,4 +1,4 @@
-"""The recorder's side of the drive's process: found, started, asked; and the channel between them."""
+"""The recorder's client of the supply process: discovery, start, requests, and the channel."""
 
 import socket
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "cur
 
 
 class Child:
-    """A process that was started and does not come up."""
+    """Started process that does not come up."""
 
     returncode: int | None = None
 
@@ -37,7 +37,7 @@ class Child:
 
 
 class Bench:
-    """A recorder's remote drive, and its process in the same thread; time passes by hand."""
+    """Remote supply of a recorder and its process in one thread on a manual clock."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.now_s = folder, 0.0
@@ -61,7 +61,7 @@ class Bench:
         return self.child
 
     def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)) -> None:
-        """Let the process begin."""
+        """Start the process."""
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
         self.process = DriveProcess(
@@ -85,7 +85,7 @@ class Bench:
             self.server.serve(seconds, self.process.answer)
 
     def wait_for_row(self, **row: Any) -> None:
-        """Tick until the row says so."""
+        """Tick until the row has these values."""
         for _ in range(PATIENCE):
             self.remote.tick()
             self.pause(0.01)
@@ -95,7 +95,7 @@ class Bench:
         pytest.fail(f"never told: {row}, but {latest}")
 
     def answer(self, reply: Reply, *, step_s: float = 0.01) -> str:
-        """Tick until there is an answer; its error."""
+        """Tick until the reply is complete; return its error."""
         for _ in range(PATIENCE):
             if reply.done or reply.error:
                 return reply.error
@@ -307,7 +307,7 @@ def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_swit
 
 
 class Guarded(Bench):
-    """A bench whose remote drive does not watch."""
+    """Bench whose remote supply does not watch."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)

@@ -1,4 +1,4 @@
-"""What a child does for itself: its log outlives a full disk and a reader that holds it."""
+"""Log and signals of a child process: its log survives a full disk and a reader that locks it."""
 
 import errno
 import io
@@ -28,7 +28,7 @@ def lines(folder: Path, name: str = "recorder.log") -> list[str]:
 
 
 class FullDisk(io.StringIO):
-    """A stream whose disk takes nothing."""
+    """Stream on a full disk."""
 
     def write(self, text):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -47,7 +47,7 @@ def test_a_full_disk_costs_lines_which_are_counted_and_no_traceback(logged, tmp_
 
 
 def test_a_log_that_somebody_reads_is_not_rotated_but_goes_on(logged, tmp_path, monkeypatch):
-    """Windows renames no open file."""
+    """Windows does not rename an open file."""
     handler, write = logged
     handler.maxBytes = 30
     write("x" * 25)
@@ -86,7 +86,7 @@ def test_a_closed_terminal_is_a_polite_stop():
 @pytest.mark.skipif(sys.platform == "win32", reason="no program is started so there")
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
 def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
-    """`nohup solimon run` outlives its terminal; a script's background jobs get no Ctrl-C."""
+    """`nohup solimon run` outlives its terminal; background jobs of a script get no Ctrl-C."""
     number = getattr(signal, name)
     before = signal.signal(number, signal.SIG_IGN)
     try:
@@ -101,7 +101,7 @@ def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
 
 @pytest.mark.timeout(60)
 def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
-    """Its handler runs in the thread that holds the event's lock, and waits for nobody."""
+    """Its handler runs in the thread that holds the lock of the event, and must not wait."""
     with stop_on_signals() as stop:
         with stop._cond:
             signal.raise_signal(signal.SIGTERM)

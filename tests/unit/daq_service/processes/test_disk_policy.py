@@ -1,4 +1,4 @@
-"""Levels of a volume that fills and is freed, the reserve, and how long the rest lasts."""
+"""Levels of a volume that fills and is freed, the reserve, and the forecast of the free space."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -51,7 +51,7 @@ def test_limits_that_contradict_each_other_are_refused():
 
 
 class Volume:
-    """Free bytes as told, beside a clock that moves by hand."""
+    """Volume with given free bytes and a manual clock."""
 
     def __init__(self):
         self.free, self.now_s = 50 * GB, 0.0
@@ -125,7 +125,7 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
 
 
 def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
-    """No alarm can be stored there: `run` and `demo` say it at once."""
+    """No alarm can be stored there, so `run` and `demo` report it immediately."""
     messages = []
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
         volume = SimpleNamespace(total=100 * GB, free=free * GB)

@@ -1,4 +1,4 @@
-"""Executors by name: the same interface and digits, and a killed worker costs its task, not the run."""
+"""Executors by name: same interface and digits; a killed worker costs only its task."""
 
 import json
 import math

@@ -25,7 +25,7 @@ class FakeMonotonic:
         self.cost_ns = 0
 
     def __call__(self) -> int:
-        """Tell the time; the next look comes `cost_ns` later."""
+        """Return the time; the next call returns `cost_ns` more."""
         now_ns = self.now_ns
         self.now_ns += self.cost_ns
         return now_ns
@@ -121,7 +121,7 @@ def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -
 
 
 def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path: Path) -> None:
-    """A call that hangs at once must be told by its name."""
+    """A call that hangs immediately must be identified by its name."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
     clock.cost_ns = 4_000_000  # of each look at the clock: a slow disk
@@ -183,7 +183,7 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
 
 
 def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
-    """No rename meets a reader (Windows), and a full disk has the place already."""
+    """No rename collides with a reader (Windows), and a full disk already has the space."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
     heartbeat.beat("\N{SNOWMAN}" * 10_000)
@@ -199,7 +199,7 @@ def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
 
 
 def test_a_look_that_falls_into_a_write_looks_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every mixture of two beats, up to each byte the newer one, is refused; then the whole one is read."""
+    """Every mixture of two beats is rejected; then the complete beat is read."""
     old, new = (
         encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))
         for mono_ns, doing in ((1_999_999_999, "taking set 9"), (2_000_000_000, "taking set 10"))

@@ -1,4 +1,4 @@
-"""What a process inherits changes no exit code, ends no test and silences nothing: each in a real process."""
+"""Inherited signals, timers and terminals do not affect a process; each test uses a real process."""
 
 import os
 import signal
@@ -78,7 +78,7 @@ def test_a_stop_signal_that_is_blocked_at_the_start_is_heard() -> None:
 
 @pytest.mark.parametrize("timer", ["ITIMER_REAL", "ITIMER_VIRTUAL", "ITIMER_PROF"])
 def test_a_timer_inherited_from_the_parent_is_cancelled(timer: str) -> None:
-    """`alarm` and its kind outlive the start of another program, and would end it."""
+    """Timers such as `alarm` survive the start of another program and would end it."""
     number = getattr(signal, timer)
     done = started(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
     assert done.stdout == "0.0\n"
@@ -98,7 +98,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
 
 
 def test_what_prints_in_the_background_is_not_stopped_by_its_terminal() -> None:
-    """After `stty tostop` SIGTTOU would stop it."""
+    """After `stty tostop` SIGTTOU would stop the process."""
     done = started("print(signal.getsignal(signal.SIGTTOU).name)")
     assert done.stdout == "SIG_IGN\n"
 
@@ -166,7 +166,7 @@ sys.exit(3)
 
 @pytest.mark.parametrize("script", ["print_line('a line ' * 100_000)\nend_process(3)\nsys.exit(3)", NEWS])
 def test_a_held_terminal_delays_no_end(script: str) -> None:
-    """Ctrl-S, or a reader that has stopped: the pipe takes a part of it."""
+    """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
         assert started(script, stderr=writer).returncode == 3

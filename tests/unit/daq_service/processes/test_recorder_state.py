@@ -1,4 +1,4 @@
-"""How the recorder is: one answer, also after a reboot and with a heartbeat that a power cut tore."""
+"""State of the recorder on each surface, also after a reboot and with a torn heartbeat."""
 
 import json
 import os
@@ -93,7 +93,7 @@ def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
 def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
-    """The lock says that somebody runs, and whoever runs has not said farewell: it waits for its rig, say."""
+    """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
     def state(found: Beat | None) -> tuple[Word, str, bool]:
         result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
@@ -146,7 +146,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 def stored_set(catalogue: RecorderCatalogue) -> None:
-    """A gap: before the first row the web has nothing to tell."""
+    """Store a gap: before the first row the web has no data."""
     gap = SetRow(
         set_index=0,
         position="B",
@@ -165,7 +165,7 @@ def as_text(found: Beat) -> str:
 
 
 def after_a_reboot() -> str:
-    """The last beat lies ahead: this boot is younger than the one before was."""
+    """Return a beat of the future: this boot is younger than the one before was."""
     return as_text(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting", boot="another boot"))
 
 
@@ -175,7 +175,7 @@ def after_a_reboot_of_an_older_version() -> str:
 
 
 def after_a_short_boot() -> str:
-    """The last beat lies in the past of this boot, too."""
+    """Return a beat of the past of this boot."""
     now_ns = time.monotonic_ns()
     return as_text(Beat(process=1, mono_ns=now_ns, deadline_s=65.0, doing="waiting", boot="another boot"))
 

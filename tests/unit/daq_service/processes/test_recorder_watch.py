@@ -1,4 +1,4 @@
-"""A process that is left notices a recorder that fails again and again, or does not run at all."""
+"""Another process detects a recorder that fails repeatedly or does not run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SETTINGS = Settings(
 
 
 class Bench:
-    """A test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
+    """Test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.catalogue = new_catalogue(folder)
@@ -46,7 +46,7 @@ class Bench:
         )
 
     def store(self) -> None:
-        """Store the planned set that ended at this hour."""
+        """Store the scheduled set that ended at this hour."""
         self.n_sets += 1
         row = SetRow(
             set_index=self.n_sets,
@@ -62,7 +62,7 @@ class Bench:
         self.catalogue.commit_set(SetCommit(sets=[row]))
 
     def run(self, hours: float, *, restarts_every_h: float = 1e9) -> None:
-        """Let time pass; the recorder is another process at each restart."""
+        """Advance the time; the recorder is another process after each restart."""
         end_h, restart_h = self.hour + hours, self.hour + restarts_every_h
         while self.hour < end_h:
             self.watch.look()
@@ -72,7 +72,7 @@ class Bench:
         self.watch.look()
 
     def alarms(self) -> list[tuple[str, str]]:
-        """Kind of each event of the alarm, and its evidence."""
+        """Return the kind of each event of the alarm, and its evidence."""
         rows = self.catalogue.rows(EventRow, topic="alarms")
         return [(row.kind, row.payload["message"].split(". ")[1].partition(" (")[0]) for row in rows]
 
@@ -110,7 +110,7 @@ def test_restarts_that_are_rare_or_ordered_raise_nothing(bench: Bench) -> None:
 
 
 def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(bench: Bench) -> None:
-    """The plug-in's driver raises at the first shot of each set: one restart per interval."""
+    """The plug-in driver raises at the first shot of each set: one restart per interval."""
     bench.hour = 2.1
     bench.store()
     bench.run(2.0, restarts_every_h=INTERVAL_H)

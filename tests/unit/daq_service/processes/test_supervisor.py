@@ -1,4 +1,4 @@
-"""The supervisor's rules on a clock that passes by hand, with children that only say what they would do."""
+"""The rules of the supervisor on a manual clock with scripted children."""
 
 import io
 import json
@@ -30,7 +30,7 @@ WEB = ChildPlan(name="web", arguments=["serve"])
 
 
 class Life:
-    """A process: when it ends and how, what it prints, and how long it takes to leave."""
+    """Process double: time and code of its end, output, and time to leave."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class World:
 
 
 class _Process:
-    """What a `Popen` is to the supervisor."""
+    """`Popen` double of the supervisor."""
 
     def __init__(self, world: World, life: Life) -> None:
         self._world, self._life = world, life
@@ -150,7 +150,7 @@ def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> 
 
 
 def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
-    """Exit code 130 is an operator's order: a restart would strike on against it."""
+    """Exit code 130 is a command of the operator: a restart would strike against it."""
     world = World(Life(130))
     assert world.run() == 130
     assert len(world.started) == 1
@@ -160,7 +160,7 @@ def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
 @pytest.mark.parametrize("code", [0, 2, 3, 4, 5, 130])
 @pytest.mark.parametrize("plan", [RECORDER, WEB])
 def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: int) -> None:
-    """A driver or a vendor's library ended the process: it knows nothing of the test."""
+    """A driver or vendor library ended the process and does not know the exit codes."""
     world = World(Life(code, after_s=1.0, announces=False), Life(), plans=(plan,), until_s=10.0)
     assert world.run(stay=True) == 0
     assert len(world.started) == 2
@@ -184,7 +184,7 @@ def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> Non
 
 
 def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
-    """An engineer wants to see why it ended; the code is passed on when the dashboard is stopped."""
+    """An engineer wants to see the reason; the code is passed on when the dashboard is stopped."""
     line = json.dumps({"event": "progress", "done": 1})
     recorder = Life(4, after_s=1.0, says=[line])
     world = World(recorder, Life(), plans=(RECORDER, WEB), until_s=100.0)
@@ -248,7 +248,7 @@ def test_a_recorder_is_killed_at_its_deadline() -> None:
 
 
 def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
-    """A disk that takes nothing must not cost the recorder its life."""
+    """A full disk must not cause a restart of the recorder."""
     alive = Life()
     world = World(alive, Life(0))
     beat = beat_at(world, STARTING_GRACE_S / 2, deadline_s=100.0)
@@ -261,7 +261,7 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
 
 
 def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
-    """It has beaten once, and stops to: its event loop hangs, or somebody stopped its process."""
+    """It has sent one beat and no other: its event loop hangs, or its process is stopped."""
     stalled = Life()
     world = World(stalled, Life(), plans=(WEB,), until_s=60.0)
     message = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
@@ -288,12 +288,12 @@ def test_a_beat_that_cannot_be_read_for_a_moment_takes_nothing_from_the_one_befo
 
 
 def stale(world: World) -> Beat:
-    """Left by the recorder before this one."""
+    """Return the beat of the previous recorder."""
     return beat_at(world, -100.0)
 
 
 def earlier_boot(world: World) -> Beat:
-    """Ahead of this boot's monotonic time, and written by the same process number."""
+    """Return a beat ahead of this boot's monotonic time, with the same process number."""
     return beat_at(world, 1e6, boot="another")
 
 

@@ -1,4 +1,4 @@
-"""What a test costs its computer is kept with each set that was taken, and comes again with the history."""
+"""Each taken set has a reading of the computer's load, which a rebuild restores from the history."""
 
 import sys
 from contextlib import ExitStack

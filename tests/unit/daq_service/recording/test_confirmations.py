@@ -1,4 +1,4 @@
-"""Suspicion asks for a set beside the plan: it is struck at once, judged, told, and changes nothing else."""
+"""An outlier causes an unscheduled set: taken at once, assessed, reported, and without other effects."""
 
 import threading
 from dataclasses import replace
@@ -25,7 +25,7 @@ AFTER_FIRST, AFTER_THIRD = PLANNED_SETS + FIRST, PLANNED_SETS + FIRST + 2
 
 
 def settings(schedule=None, baseline=None, **alarms):
-    """Settings of a test whose baseline is just long enough."""
+    """Return the settings of a test with the shortest possible baseline."""
     return memory_settings(
         schedule=schedule or {"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15} | (baseline or {}),
@@ -34,12 +34,12 @@ def settings(schedule=None, baseline=None, **alarms):
 
 
 def sick(*sets, position="B", shift=1.0):
-    """A script in which a transducer is sick in some planned sets and what is struck after them."""
+    """Return a script in which a transducer deviates in some scheduled sets and their confirmation sets."""
     return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
 
 
 def with_incident_wave(key):
-    """Let causes be told: the same with an incident wave, which stays healthy."""
+    """Return the same shot with a healthy incident wave, so that a diagnosis is possible."""
     found = sick(*range(FIRST, SETS))(key)
     noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index, 1]).standard_normal(2)
     height_v, width_s = 0.5 * (1.0 + 0.01 * noise[0]), 65e-6 * (1.0 + 0.01 * noise[1])
@@ -54,7 +54,7 @@ def line(tmp_path):
 
 
 def ordered_at(line, place, kind, **arguments):
-    """Give an order once, when a shot is read."""
+    """Send a command once, when a shot is read."""
     script, left = line.script, [place]
 
     def ordering(key):
@@ -78,7 +78,7 @@ def the_alarm(line):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A test that nothing disturbed; only read."""
+    """Return an undisturbed test; read-only."""
     one = Line(tmp_path_factory.mktemp("whole"), settings(), sick(*range(FIRST, SETS)))
     assert one.run()
     return one
@@ -247,11 +247,11 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class DyingArchive(MemoryArchive):
-    """Is killed behind, or before, a confirmation set that it stores."""
+    """Archive that is killed before or after it stores a confirmation set."""
 
     def __init__(self, line, *, stored):
         super().__init__(line.shelf)

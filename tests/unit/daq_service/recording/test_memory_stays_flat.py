@@ -1,4 +1,4 @@
-"""A recorder keeps nothing of the sets that are stored: its memory does not grow with the test."""
+"""A recorder keeps no stored sets: its memory does not grow with the test."""
 
 import gc
 import tracemalloc
@@ -14,7 +14,7 @@ cursors is cleared every 200, checksums of the last 64 records are remembered.""
 
 
 class ForgetfulArchive(MemoryArchive):
-    """As a disk: what is stored takes no memory."""
+    """Archive double that keeps no stored data, as a disk uses no memory."""
 
     def store_set(self, record):
         stored = super().store_set(record)

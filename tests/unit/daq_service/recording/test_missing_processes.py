@@ -1,4 +1,4 @@
-"""What a recorder does about a web service that stalls, and the alarm raised in its absence."""
+"""Reaction of a recorder to a stalled web service, and to the alarm raised in its absence."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class Web:
-    """A web service's heartbeat file, on a monotonic time that passes by hand."""
+    """Heartbeat file of a web service on a manual monotonic clock."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.now_s = folder, 1000.0
@@ -93,7 +93,7 @@ def test_a_computer_that_wakes_up_finds_no_service_missing(web: Web) -> None:
 
 
 class Scripted(WebWatch):
-    """Answers as a list says, then for ever as its last item."""
+    """Callable that returns the items of a list, then always the last item."""
 
     def __init__(self, folder: Path, *answers: bool | None) -> None:
         super().__init__(folder)

@@ -1,4 +1,4 @@
-"""A recorder that waits for its rig runs, and an alarm says so; what is told of why none ran before."""
+"""A recorder that waits for its rig is running and raises an alarm; reasons of earlier missed sets."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ WHY = f"the rig cannot be opened: {GONE}; the recorder tries again until it can"
 
 
 class Opener:
-    """A recorder that finds its rig gone so often, and what it tells."""
+    """Recorder whose rig is missing a number of times, and its reports."""
 
     def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
         self.folder, self.catalogue = folder, catalogue

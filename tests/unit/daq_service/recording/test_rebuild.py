@@ -1,4 +1,4 @@
-"""A catalogue that was lost comes again, row for row; what cannot be made again is told."""
+"""A lost catalogue is rebuilt row for row; what cannot be rebuilt is reported."""
 
 import json
 import shutil
@@ -39,7 +39,7 @@ def life(tmp_path_factory):
 
 @pytest.fixture
 def line(life, tmp_path):
-    """A copy of its folder."""
+    """Return a copy of its folder."""
     folder = tmp_path / "copy"
     shutil.copytree(life.folder, folder)
     return replace(life, folder=folder)

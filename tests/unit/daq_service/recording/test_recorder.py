@@ -1,4 +1,4 @@
-"""The line on a rig in memory: what is taken, stored, missed, taken over, and what ends it."""
+"""The recording line on a rig in memory: sets taken, stored, missed and continued, and its end."""
 
 import threading
 from dataclasses import replace
@@ -41,11 +41,11 @@ def events_of(line, kind):
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class WatchedArchive(MemoryArchive):
-    """Notes how many sets have rows at the moment one is stored, and is killed at some."""
+    """Archive that records how many sets have rows when one is stored, and is killed at some."""
 
     def __init__(self, line, refuse=()):
         super().__init__(line.shelf)
@@ -86,7 +86,7 @@ def test_a_set_that_was_not_stored_has_no_rows_and_is_taken_again(line):
 
 
 class Seconds:
-    """A monotonic clock on which each look takes a while."""
+    """Monotonic clock that advances at each read."""
 
     def __init__(self, step_s=10.0):
         self.now_s, self.step_s = 0.0, step_s
@@ -97,7 +97,7 @@ class Seconds:
 
 
 class FullDisk(MemoryArchive):
-    """Takes nothing from a set on, until it was asked so many times."""
+    """Disk that accepts nothing from a set on, until a number of attempts."""
 
     def __init__(self, line, first, times, error=None):
         super().__init__(line.shelf)
@@ -113,7 +113,7 @@ class FullDisk(MemoryArchive):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A test that nothing disturbed; only read."""
+    """Return an undisturbed test; read-only."""
     one = Line(tmp_path_factory.mktemp("whole"))
     one.run()
     return one
@@ -155,7 +155,7 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.work
 
     def freed(backlog):
-        """Work as ever; somebody frees the disk when two sets and three gaps wait."""
+        """Work, and free the disk when two sets and three gaps wait."""
         if len(backlog) >= 5:
             disk.left = 0
         work(backlog)
@@ -226,7 +226,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
 
 
 class SlowWorker:
-    """Finishes a set at every fourth look."""
+    """Worker that finishes a set at every fourth poll."""
 
     trouble, damaged = "", {}
 
@@ -272,7 +272,7 @@ def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_
 
 
 class Volume:
-    """A volume of 100 GB that fills when a set is struck, and is freed after so many looks at it."""
+    """Volume of 100 GB that fills when a set is struck and is freed after a number of reads."""
 
     def __init__(self, line, set_index, free_gb, looks):
         self.line, self.set_index, self.free_gb, self.left = line, set_index, free_gb, looks
@@ -479,7 +479,7 @@ def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, 
 
 
 def failing_at(*keys):
-    """Something that no waiting can mend, says the driver."""
+    """Return a script that raises a permanent error of the driver at these shots."""
     return lambda key: ConfigurationError("no such channel") if key in keys else healthy(key)
 
 
@@ -529,7 +529,7 @@ def test_a_stop_leaves_the_set_open_and_the_rest_is_due_again(line):
 
 
 def stopped_in_a_set(line, key, **options):
-    """Run with a journal until a shot, after which a stop or a kill comes."""
+    """Run with a journal until a stop or a kill after a shot."""
     archive, stop = MemoryArchive(line.shelf), threading.Event()
     line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
     assert not line.run(stop=stop, archive=archive, **options)
@@ -580,7 +580,7 @@ def test_a_hold_after_a_restart_keeps_what_an_open_set_has(line):
 
 
 def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
-    """A kill costs the shot in the air."""
+    """A kill costs only the shot in progress."""
     line.settings = memory_settings(clock={"kind": "wall"})
     killed_at = ShotKey(position="B", set_index=0, shot_index=2)
     sequences = []
@@ -603,7 +603,7 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
 
 def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
-    """A set of the paper takes two minutes: nobody should wait for its end."""
+    """A set of the paper takes two minutes; the report must not wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
     archive, strikes = MemoryArchive(line.shelf), []
     sync, refusals = archive.sync, iter([True] * 4)
@@ -644,7 +644,7 @@ def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
 
 
 def ordered_at(line, key, kind, **arguments):
-    """An order that a person gives while a shot is read; it is heard before the next strike."""
+    """Send a command while a shot is read; it is received before the next strike."""
     line.listen_every_s = 0.0
 
     def script(asked):

@@ -1,4 +1,4 @@
-"""A baseline that came out without limits: nobody takes it for one, and a person ends it."""
+"""A baseline without limits: it is not used, and a person renews it."""
 
 import pytest
 from support.memory_line import Line, healthy, memory_settings, silent
@@ -15,7 +15,7 @@ REASON = (
 
 @pytest.fixture(scope="module", params=["automatic", "by_a_person"])
 def line(request, tmp_path_factory):
-    """B lacks a set of its baseline; set 16 is struck while people try to go on all the same."""
+    """Return a line in which B lacks a set of its baseline and commands arrive during set 16."""
     settings = memory_settings(
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
         baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": request.param},

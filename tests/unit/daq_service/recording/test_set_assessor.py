@@ -1,4 +1,4 @@
-"""What is taken becomes rows and alarms in one transaction, and what a restart knows of it."""
+"""A set becomes rows and alarms in one transaction; the state after a restart."""
 
 import threading
 from contextlib import contextmanager
@@ -36,12 +36,12 @@ def line(tmp_path):
 
 @pytest.fixture(autouse=True)
 def looks_back_in_small_steps(monkeypatch):
-    """A restart reads a year of sets in two looks: here even these few take more than one."""
+    """Limit the read block: a restart reads a year in two blocks, here even a few sets need more than one."""
     monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", (1, 3, 7, None))
 
 
 class Drive:
-    """A corrosion drive that notes its trips and the rows that it is asked for."""
+    """Corrosion supply double that records its trips and the requested rows."""
 
     def __init__(self):
         self.trips, self.rows = [], 0
@@ -55,7 +55,7 @@ class Drive:
 
 @contextmanager
 def ledger_of(line):
-    """A ledger that goes on where the line's last recorder stopped."""
+    """Return a set assessor that continues after the line's last recorder."""
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         rig = Rig(kind="simulated", clock=None, striker=None, digitizer=None)
@@ -64,7 +64,7 @@ def ledger_of(line):
 
 @contextmanager
 def recorded(line, count):
-    """A folder whose recorder judged so many sets, the records of all, and a ledger that goes on."""
+    """Return a folder with assessed sets, the records of all sets, and a set assessor that continues."""
     line.run()
     records = {record.set_index: (record, file) for file, record in line.shelf.sets.items()}
     again = Line(line.folder.parent / "again", line.settings, line.script, line.shelf)
@@ -117,7 +117,7 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
 
 
 def renewing(line):
-    """A script in which a person renews B's baseline while set 17 is struck."""
+    """Return a script in which a person renews the baseline of B while set 17 is struck."""
     asked = []
 
     def script(key):
@@ -161,7 +161,7 @@ def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
 
 
 def remembered(line, monkeypatch, looks):
-    """What a restart knows of each transducer, and how many sets it read."""
+    """Return the state of each transducer after a restart, and the number of sets read."""
     read = []
 
     def last_rows(self, kind, position, count, **filters):
@@ -239,7 +239,7 @@ def test_a_hole_trips_the_drive_at_once_and_once(line):
 
 
 def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
-    """A transfer that breaks off behind the incident wave leaves no reflected one either."""
+    """A transfer that ends after the incident wave has no reflected wave either."""
     random = np.random.default_rng(0)
     volts = Scene(isw_v=1.0).volts() + 0.01 * random.standard_normal(13_000)
     volts[3_000:] = 0.0
@@ -254,7 +254,7 @@ def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
 
 
 def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
-    """Each shot is valid by itself, and all shots of the set are alike."""
+    """Each shot is valid, and all shots of the set agree."""
     residue = {"amplitude_ratio": 0.11, "isw_amplitude_v": 2.0, "isw_fwhm_s": 65e-6}
 
     def script(key):
@@ -278,7 +278,7 @@ def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
 
 
 def ended_after(position, set_index, stop, script, last_shot=3):
-    """A script that has the recorder stopped at the last strike of a transducer in a set."""
+    """Return a script that stops the recorder at the last strike of a transducer in a set."""
 
     def stopping_script(key):
         if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
@@ -322,7 +322,7 @@ def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
 
 
 class ThinningWall:
-    """A pulse-echo unit over a wall that loses the same in every set; no scatter."""
+    """Pulse-echo unit on a wall with a constant loss per set and no scatter."""
 
     echo = EchoParameters(
         element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0

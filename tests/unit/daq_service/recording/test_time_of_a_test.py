@@ -20,11 +20,11 @@ DOWN = "the recorder was down"
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class Laboratory:
-    """A line in memory on a machine's clock; each run is another process."""
+    """Line in memory on a machine's clock; each run is another process."""
 
     def __init__(self, line: Line, machine: Machine) -> None:
         self.line, self.machine = line, machine
@@ -53,7 +53,7 @@ class Laboratory:
         return self.line.run(cause=cause, clock=clock, stop=stop)
 
     def killed_after(self, hours: float) -> None:
-        """Run a recorder that is killed so much later."""
+        """Run a recorder that is killed after some hours."""
 
         def kill() -> None:
             raise Killed
@@ -63,7 +63,7 @@ class Laboratory:
             self.run()
 
     def event_payloads(self, kind: str) -> list[dict]:
-        """Payloads of the events of a kind, in order."""
+        """Return the payloads of the events of a kind, in order."""
         return [row.payload for row in self.line.rows("events") if row.kind == kind]
 
     @property
@@ -82,7 +82,7 @@ def laboratory(tmp_path, monkeypatch):
 
 
 def assert_every_set_once_in_order(laboratory, *, missed=()):
-    """Each set has its rows once; those that were taken were begun when they were due, or as late as told."""
+    """Check that each set has its rows once and started when due, or as late as given."""
     for position in "ABCD":
         rows = laboratory.line.rows("sets", position)
         assert [row.set_index for row in rows] == list(range(SETS))
@@ -101,7 +101,7 @@ def assert_every_set_once_in_order(laboratory, *, missed=()):
 
 
 def assert_struck_at(laboratory, hours):
-    """What had elapsed when each set began, from the first one: steps move nothing."""
+    """Check the elapsed time at the start of each set from the first one, which clock steps do not change."""
     first = {shot.set_index: shot for shot in reversed(laboratory.line.rows("shots"))}
     struck_h = [(first[index].mono_ns - first[min(first)].mono_ns) / NS_PER_H for index in sorted(first)]
     assert struck_h == pytest.approx(hours, abs=1e-6)  # the slewing of 6 h at most 1 s: none here

@@ -1,4 +1,4 @@
-"""The service manager's watchdog is fed by the recording line, and starves when the line hangs."""
+"""The recording line feeds the watchdog of the service manager, and stops when the line hangs."""
 
 import os
 import socket
@@ -24,7 +24,7 @@ HANGS_S = 10 * DEADLINE_S
 
 
 class Manager:
-    """A service manager's end of the notify socket; notes what comes and when, on the machine's time."""
+    """Service manager's end of the notify socket; records messages with the machine's time."""
 
     def __init__(self, channel: socket.socket, machine: Machine) -> None:
         self.channel, self.machine = channel, machine
@@ -43,7 +43,7 @@ class Manager:
 
 
 class HeardMachine(Machine):
-    """A machine whose service manager listens whenever somebody sleeps."""
+    """Machine whose service manager listens during each sleep."""
 
     manager: Manager
 
@@ -70,7 +70,7 @@ def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
 
 
 def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tuple[str, str]]:
-    """Run a line in real time on the manager's machine; every event that it told, with what it did."""
+    """Run a line in real time on the manager's machine; return every event with its activity."""
     machine, events, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
 
     def script(key: ShotKey):
@@ -156,7 +156,7 @@ def test_the_activity_is_sent_in_one_line() -> None:
 def test_a_manager_of_another_program_is_sent_nothing(
     manager: Manager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A shell that a service started (Jupyter, tmux) hands its notify socket on."""
+    """A shell of a service (Jupyter, tmux) passes its notify socket on."""
     monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
     notify("STOPPING=1")
     monkeypatch.setenv("SYSTEMD_EXEC_PID", str(os.getpid()))

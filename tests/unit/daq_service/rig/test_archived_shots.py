@@ -1,4 +1,4 @@
-"""A data folder as a recording: read set by set, damage and all, never written to."""
+"""A data folder as a recording: read set by set, with corruption, never written."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_every_record_is_found_to_the_last_bit(tmp_path):
 
 
 def hours_later(record, hours):
-    """The records of a set at a later time."""
+    """Return the records of a set at a later time."""
 
     def moved(item):
         stamp = replace(item.stamp, utc_ns=item.stamp.utc_ns + hours * HOUR_NS)

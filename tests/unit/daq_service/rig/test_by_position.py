@@ -1,4 +1,4 @@
-"""A shot goes to the instruments of its position; making safe reaches every one of them."""
+"""A shot uses the instruments of its position; the safe state is set at all of them."""
 
 from dataclasses import dataclass, field
 
@@ -12,7 +12,7 @@ from hardware_drivers.measurement import ShotKey
 
 @dataclass(eq=False)
 class Part:
-    """A striker and digitizer that notes what it is told, and may fail."""
+    """Striker and digitizer double that records its calls and may fail."""
 
     name: str
     calls: list[str]

@@ -1,4 +1,4 @@
-"""A folder that an earlier version began goes on: what was hashed then hashes alike now."""
+"""A folder of an earlier version continues: its configuration hash has not changed."""
 
 from pathlib import Path
 from typing import Any

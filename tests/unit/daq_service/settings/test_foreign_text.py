@@ -1,4 +1,4 @@
-"""Texts of other people at a terminal, in a log and in a spreadsheet."""
+"""Foreign texts at a terminal, in a log and in a spreadsheet."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""The shipped laboratory.toml: complete, loadable, and safe to read as it is."""
+"""The shipped laboratory.toml is complete, loadable, and safe."""
 
 import tomllib
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ def load(folder: Path, text: str) -> Settings:
 
 
 def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
-    """Keys of a table of parameters that the file does not write down, its own tables included."""
+    """Return the keys of a parameter table that the file lacks, nested tables included."""
     if isinstance(value, Mapping):
         return [
             key
@@ -63,7 +63,7 @@ def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
 
 
 def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
-    """The check above can fail."""
+    """This shows that the check above can fail."""
     text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
     assert missing_keys(given["daqmx"], rig.daqmx, "daqmx") == [
@@ -73,7 +73,7 @@ def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
 
 
 def test_the_other_tables_say_what_the_paper_s_experiment_says(tmp_path: Path) -> None:
-    """The laboratory's file and the twin's plan and judge alike; only the instruments differ."""
+    """The files of laboratory and twin differ only in the instruments."""
     laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):
         assert getattr(laboratory, table) == getattr(simulated, table), table

@@ -1,4 +1,4 @@
-"""A rig of several instruments: each position is served, each instrument used, a refusal names its key."""
+"""A rig of several instruments: each position is served, each instrument used, an error names its key."""
 
 from pathlib import Path
 from typing import Any

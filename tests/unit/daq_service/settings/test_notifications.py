@@ -1,4 +1,4 @@
-"""Receivers and rules in the configuration: what is refused, and what no refusal ever repeats."""
+"""Receivers and rules in the configuration: rejected values, and secrets that no error repeats."""
 
 from pathlib import Path
 from typing import Any, get_args

@@ -206,7 +206,7 @@ def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
 
 
 def test_delays_of_alarms_change_no_test() -> None:
-    """They may be changed while it runs: what is measured stays the same."""
+    """They may be changed during a test, as the measurements stay the same."""
     kinds = {"thickness": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})
     assert settings.configuration_hash() == Settings().configuration_hash()

@@ -1,4 +1,4 @@
-"""A stored configuration means what today's does, or the keys that differ are named."""
+"""A stored configuration has the meaning of the present one, or the different keys are named."""
 
 import copy
 import json
@@ -16,7 +16,7 @@ NOW = Settings()
 
 
 def kept() -> dict[str, Any]:
-    """What a folder of today's default test keeps."""
+    """Return what a folder of the present default test stores."""
     return NOW.model_dump(mode="json")
 
 
@@ -80,7 +80,7 @@ def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
 
 
 def test_a_changed_default_is_a_change_of_meaning() -> None:
-    """The stored configuration holds every value in full, so the default of its day is not lost."""
+    """The stored configuration has all values, so the default of its version is not lost."""
     before = kept()
     given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
     assert differences(before, given) == ["novelty.false_alarm_rate began with 0.0027, is 0.01 now"]

@@ -1,4 +1,4 @@
-"""Every query of the Grafana dashboard and of its page asks for metrics and labels that there are."""
+"""Every query of the Grafana dashboard and of its page uses existing metrics and labels."""
 
 import json
 import re
@@ -33,7 +33,7 @@ GROUPING = re.compile(r"\bby \((?P<labels>[^)]*)\)")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A test that has everything."""
+    """Return a test with all kinds of data."""
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
     for index in range(60):
         folder.add_set(index, stored=index == 0)
@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module", params=["one test", "several tests"])
 def families(request, folder, tmp_path_factory):
-    """What a service of one test tells, and one of this and its copy: families of metrics."""
+    """Return the metric families of a service with one test and of one with the test and its copy."""
     below = [""]
     if request.param == "one test":
         service = served(folder.settings, folder.folder)
@@ -71,7 +71,7 @@ def label_sets(families):
 
 
 def selectors(expression):
-    """Name, label matchers and range of each series that is asked for."""
+    """Return name, label matchers and range of each series of the query."""
     bare = GROUPING.sub("", expression)
     for match in SELECTOR.finditer(bare):
         labels = OF_PROMETHEUS | {OF_SEVERAL}
@@ -83,7 +83,7 @@ def selectors(expression):
 
 
 def check(expression, label_sets):
-    """The labels that the result can have."""
+    """Return the possible labels of the result."""
     asked = list(selectors(expression))
     assert asked, expression
     for name, matchers, _ in asked:
@@ -137,7 +137,7 @@ def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, families)
 
 
 def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(families):
-    """The parser itself refuses what OpenMetrics forbids; this is what it leaves to us."""
+    """The parser rejects what OpenMetrics forbids; this checks the rest."""
     assert {family.type for family in families} <= {"gauge", "counter", "info", "histogram"}
     for family in families:
         assert family.name == "solimon" or family.name.startswith("solimon_")
@@ -153,7 +153,7 @@ def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(families):
 
 
 def test_the_dashboard_can_be_imported():
-    """Ids are its own, panels do not overlap, and the data source is asked for, not named."""
+    """Ids are unique, panels do not overlap, and the data source is a variable."""
     panels = DASHBOARD["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
     taken = set()

@@ -1,4 +1,4 @@
-"""Who is told of which alarm and when; what a restart knows; what a dead receiver costs."""
+"""Selection, delay and restart of notifications, and the effect of an unreachable receiver."""
 
 import logging
 from itertools import pairwise
@@ -18,7 +18,7 @@ AT_ONCE = {"group_s": 0.0}
 
 @pytest.fixture
 def made(tmp_path):
-    """Benches, closed at the end."""
+    """Return a factory of benches, closed at the end."""
     benches = []
 
     def make(**rule):
@@ -177,11 +177,11 @@ def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(made
 
 
 class Crash(BaseException):
-    """Not an error that anything handles: the process is gone."""
+    """End of the process, which no code handles as an error."""
 
 
 def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_path):
-    """Before and after each line of the log and each message, one point after the other."""
+    """The crash is before and after each line of the log and each message in turn."""
     at, is_over = 0, False
     while not is_over:
         folder = tmp_path / str(at)

@@ -1,4 +1,4 @@
-"""Notifications of a running service: beside its requests, through its end, a crash and a second service."""
+"""Notifications of a running service: during requests, its end, a crash and a second service."""
 
 import subprocess
 import sys
@@ -126,7 +126,7 @@ def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver)
 
 
 def test_a_backup_sends_no_notifications(filled, receiver):
-    """Its signs of life would hide that the test's own service is gone."""
+    """Its heartbeats would hide that the service of the test itself has ended."""
     (filled.folder / BACKUP_FILE).write_bytes(b"{}")
     with served(filled.settings, filled.folder) as service, service.client() as client:
         state = client.get(STATE).json()
@@ -136,7 +136,7 @@ def test_a_backup_sends_no_notifications(filled, receiver):
 
 
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
-    """It is waited for longer than this test waits for anything: what it held would fail the test."""
+    """Its timeout is longer than all waits of this test: any delay would fail the test."""
     patient = Bounds(read_s=10.0 * WAIT_S, whole_s=10.0 * WAIT_S)
     monkeypatch.setattr("daq_service.processes.notifications.service.Bounds", lambda: patient)
     with http_receiver() as deaf, ExitStack() as stack:
@@ -198,7 +198,7 @@ serve(create_app(load_settings(config), folder), "127.0.0.1", 0, on_bound=lambda
 
 
 def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_path, receiver):
-    """Killed between the receiver's taking a message and the note of it: the worst moment."""
+    """The kill is between the acceptance of a message and its log entry: the worst moment."""
     config, folder = tmp_path / "test.toml", tmp_path / "data"
     config.write_text(
         f'[notifications.receivers.duty]\nurl = "{receiver.url}"\nsecret_env = "DUTY_SECRET"\n'

@@ -1,4 +1,4 @@
-"""Nobody is told of an alarm that is shelved or out of service, and somebody once its shelf has expired."""
+"""A shelved or out-of-service alarm is not sent; it is sent after its shelf has expired."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The webhook against real HTTP servers: what is signed, what is refused, how long anything may take."""
+"""The webhook with real HTTP servers: signature, rejections, and time limits."""
 
 import hashlib
 import hmac
@@ -42,7 +42,7 @@ def sent(receiver, **options):
 
 
 def is_genuine(secret: str, header: str, body: bytes) -> bool:
-    """Check as docs/how-to/get-notified.md tells a receiver to."""
+    """Check the signature as docs/how-to/get-notified.md describes."""
     parts = dict(part.split("=", 1) for part in header.split(","))
     wanted = hmac.new(secret.encode(), parts["t"].encode() + b"." + body, hashlib.sha256).hexdigest()
     return hmac.compare_digest(wanted, parts["v1"])
@@ -97,7 +97,7 @@ def test_a_receiver_that_never_answers_is_left_after_the_whole_time(receiver):
 
 
 def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
-    """Each byte comes in time; only the whole time ends it."""
+    """Each byte is in time; only the total time limit ends it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         left = threading.Event()
 

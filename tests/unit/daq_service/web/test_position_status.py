@@ -1,4 +1,4 @@
-"""A position with a suppressed alarm is not green: page, list, `status`, metrics and report agree."""
+"""A position with a suppressed alarm is not green in page, list, `status`, metrics and report."""
 
 import re
 from contextlib import nullcontext

@@ -1,4 +1,4 @@
-"""Notes on hours of the test: given as orders, listed by range, withdrawn and never erased."""
+"""Notes on hours of the test: created by commands, listed by range, withdrawn but never erased."""
 
 import pytest
 from support.filled_folder import FilledFolder
@@ -9,7 +9,7 @@ from daq_service.settings.tree import Settings
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory):
-    """An ended test, so that each order is carried out when it is answered."""
+    """Return the client of an ended test, where each command is executed within its request."""
     filled = FilledFolder(tmp_path_factory.mktemp("ended"), Settings())
     for index in range(2):
         filled.add_set(index, stored=False)

@@ -1,4 +1,4 @@
-"""The dashboard's files: served as they are, from here alone, under a strict policy."""
+"""Files of the dashboard: unchanged, local only, under a strict content policy."""
 
 import posixpath
 import re

@@ -1,4 +1,4 @@
-"""Who comes in: tokens, cookies, encryption, and what of it is ever told."""
+"""Authentication: tokens, cookies, encryption, and secrets that no output exposes."""
 
 import logging
 import os
@@ -46,7 +46,7 @@ def tokens(tmp_path):
 
 
 def deeds(folder, **wanted):
-    """Of the audit, the oldest first."""
+    """Return the audit entries, the oldest first."""
     found = [deed for _, deed in reversed(read_audit(folder, limit=1000)[0])]
     return [deed for deed in found if all(getattr(deed, key) == value for key, value in wanted.items())]
 
@@ -182,7 +182,7 @@ def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled,
 
 
 def test_a_token_is_never_exposed(filled, tokens, caplog):
-    """Neither in an answer, nor in the log, the audit or the file of hashes; and a URL opens nothing."""
+    """It is in no response, log, audit entry or token file, and a URL with it is not authenticated."""
     caplog.set_level(logging.DEBUG)
     _, text = create_token(tokens, "ann", "viewer")
     wrong = "w" * 43
@@ -290,7 +290,7 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
 
 @pytest.fixture
 def far(filled, tokens):
-    """A service with TLS under a name of its own."""
+    """Return a service with TLS and its own host name."""
     web = {"host_names": ["lab.example.org"], **ENCRYPTED}
     _, text = create_token(tokens, "ann", "operator")
     with served(Settings(web=web), filled.folder) as service:
@@ -425,7 +425,7 @@ def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
 
 @pytest.fixture
 def audited(tmp_path):
-    """25 deeds at one second each, from 2024-01-01T00:00:00Z: a hold and a stop in turns, of two people."""
+    """Return 25 audit entries, one per second from 2024-01-01T00:00:00Z, of two people in turns."""
     audit = Audit(tmp_path)
     for number in range(25):
         audit.tell(

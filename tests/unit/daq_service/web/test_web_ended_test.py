@@ -1,4 +1,4 @@
-"""A test that nobody records: acknowledged by the service itself, and given no other orders."""
+"""A test without a recorder: the service acknowledges alarms and rejects other commands."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""Finished files by HTTP: whole, in ranges, only what the catalogue names, only when it changed."""
+"""Finished files over HTTP: whole, in ranges, only files of the catalogue, only if changed."""
 
 import hashlib
 import io

@@ -1,4 +1,4 @@
-"""`/metrics` is OpenMetrics, says what the page says, and reads no history."""
+"""`/metrics` is OpenMetrics, agrees with the page, and reads no history."""
 
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from support.filled_folder import LIMIT_F, FilledFolder

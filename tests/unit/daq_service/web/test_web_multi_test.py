@@ -1,4 +1,4 @@
-"""Several tests in one service: named, listed with what ails them, opened when asked for; one login."""
+"""Several tests in one service: names, errors in the list, opening on request, one login."""
 
 import asyncio
 import shutil

@@ -1,4 +1,4 @@
-"""The dashboard's page brings the first answers along: the API's, to whom may read them."""
+"""The page of the dashboard embeds the first API responses for authorized users."""
 
 import math
 
@@ -26,7 +26,7 @@ def filled(tmp_path):
 
 
 def without_ages(data):
-    """Drop what grows between two answers."""
+    """Remove the values that grow between two responses."""
     if isinstance(data, list):
         return [without_ages(one) for one in data]
     if not isinstance(data, dict):

@@ -1,4 +1,4 @@
-"""What the service refuses, and how it says so; what it writes."""
+"""Requests that the service rejects, their problem details, and its commands."""
 
 import orjson
 import pytest
@@ -329,7 +329,7 @@ def test_invalid_order_points_at_its_part(api, filled, body, pointer):
 
 @pytest.fixture
 def lab(tmp_path):
-    """A folder of its own: these orders depend on what was ordered before."""
+    """Return a separate folder, as these commands depend on earlier ones."""
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:

@@ -1,4 +1,4 @@
-"""A report says what the client says, reads alone, and is made by command and by the service."""
+"""A report agrees with the client, is self-contained, and is made by command and service."""
 
 import json
 import re
@@ -54,7 +54,7 @@ def filled(tmp_path_factory):
 
 
 class Order:
-    """As the recorder has it while it carries an order out."""
+    """Command row as the recorder has it during the execution."""
 
     def __init__(self, **facts):
         self.__dict__.update(facts)
@@ -79,7 +79,7 @@ def missed(folder, index):
 
 
 class Page(HTMLParser):
-    """Rows of the tables below each heading, all words, and what the page would load."""
+    """Table rows below each heading, all words, and the resources that the page would load."""
 
     def __init__(self, content):
         super().__init__()

@@ -1,4 +1,4 @@
-"""Every reading route of the service against a folder filled through the real catalogue and archive."""
+"""Every read route of the service on a folder filled through the real catalogue and archive."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The server itself: its port, its end, and how light it is to import."""
+"""The server: its port, its end, and its import time."""
 
 import asyncio
 import queue
@@ -104,7 +104,7 @@ def connection_to(service):
 
 
 def everything_from(client):
-    """Read until the service closes."""
+    """Read until the service closes the connection."""
     return b"".join(iter(lambda: client.recv(65536), b""))
 
 

@@ -1,4 +1,4 @@
-"""Requests of strangers: malformed, repeated, of foreign pages, under no name, or never complete."""
+"""Invalid requests: malformed, repeated, cross-site, anonymous, or incomplete."""
 
 import select
 import socket
@@ -144,7 +144,7 @@ def far(tmp_path):
     ],
 )
 def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, headers, status):
-    """401: let in as far as the question for a token."""
+    """The response is 401: the request reaches the token check only."""
     with served(FAR, far) as service, service.client() as api:
         sent = {"Host": "lab.example.org", "X-Forwarded-Proto": "https", "Sec-Fetch-Site": "cross-site"}
         assert api.get(path, headers=sent | headers).status_code == status
@@ -212,7 +212,7 @@ def _closed(clients):
 
 
 def _ended(client):
-    """Read what is there; whether that was all for good."""
+    """Read the available bytes; return whether the connection is closed."""
     client.setblocking(False)
     with suppress(BlockingIOError):
         while client.recv(65536):

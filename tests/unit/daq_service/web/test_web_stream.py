@@ -139,7 +139,7 @@ def test_last_event_id_that_is_none_is_refused(service, value):
 
 
 class InventedEvents:
-    """Events that a test adds; stands for the catalogue."""
+    """Catalogue double with events that a test adds."""
 
     def __init__(self):
         self.rows = []
@@ -216,7 +216,7 @@ def test_quiet_stream_beats(tmp_path):
 
 
 def test_a_busy_stream_beats_too(tmp_path):
-    """A page counts heartbeats, not events: it does not know every topic."""
+    """A page counts heartbeats, not events, as it does not know every topic."""
 
     async def body(source, context, hub):
         client, chunks = frames(context, hub, None, 1), []
@@ -269,7 +269,7 @@ def test_no_error_of_the_source_ends_the_tail(tmp_path, caplog, monkeypatch):
 
 
 def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
-    """REST reads the catalogue itself and may be ahead of the tail by one poll."""
+    """REST reads the catalogue itself and may be one poll ahead of the stream."""
 
     async def body(source, context, hub):
         while hub.complete_after is None:

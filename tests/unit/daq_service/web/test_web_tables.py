@@ -67,12 +67,12 @@ def api(filled):
 
 @pytest.fixture
 def small_pages(monkeypatch):
-    """Pages end and begin within the tables of this test."""
+    """Shorten the pages so that they end within the tables of this test."""
     monkeypatch.setattr(choice, "PAGE_ROWS", 50)
 
 
 def listed(api, table, **asked):
-    """Rows as the page gets them, without their age, what is nested as JSON text."""
+    """Return the rows as the page gets them, without their age, nested values as JSON text."""
     resource, fixed = LISTED.get(table, (table, {}))
     most = {} if table == "baselines" else {"limit": 1000}  # there are few: they come without pages
     rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **asked}).raise_for_status().json()
@@ -95,7 +95,7 @@ def exported(api, table, form, **asked):
 
 
 def as_stored(value, column):
-    """A value in the formats that have no word for "not available"."""
+    """Return a value as stored in formats without "not available"."""
     if value is None:
         return {"number": math.nan, "integer": -1, "truth": -1}.get(column.form, "")
     return value

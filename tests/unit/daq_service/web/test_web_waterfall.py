@@ -1,4 +1,4 @@
-"""The waterfall as the service gives it: what the archive holds, bounded, from tiles or without."""
+"""The waterfall of the service equals the archive, is bounded, with and without tiles."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ def api(service):
 
 
 def read(answer):
-    """Header and planes, shape (2, rows, columns)."""
+    """Return header and planes, shape (2, rows, columns)."""
     assert answer.status_code == 200, answer.text
     (length,) = struct.unpack_from("<I", answer.content)
     header = json.loads(answer.content[4 : 4 + length])
@@ -57,7 +57,7 @@ def read(answer):
 
 
 def by_hand(filled, position, header, index):
-    """Extremes of a set's samples in the columns of a picture, from its file."""
+    """Return the extremes of a set's samples in the columns of a figure, computed from its file."""
     record = read_set(set_files(filled.folder)[index])
     anchors = anchors_of(results_in(filled.catalogue, index))
     rate = header["sample_rate_hz"]
@@ -146,7 +146,7 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
 
 
 def renewed_at(filled, position, first_set):
-    """Row of a successor that begins to collect."""
+    """Return the row of a new baseline that is collecting."""
     asked = {"first_set": first_set, "author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
     return renewed(position, filled.settings, None, **asked)[1]
 

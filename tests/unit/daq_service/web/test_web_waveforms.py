@@ -1,4 +1,4 @@
-"""Stored records in volts, the live picture by GET and by WebSocket."""
+"""Stored records in volts, and the live figure by GET and by WebSocket."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""What the doctor says of software, machine and folder, each state of each check."""
+"""Checks of software, machine and folder by `solimon doctor`, with each state of each check."""
 
 import json
 import sys
@@ -372,7 +372,7 @@ def test_the_disk_is_compared_with_the_plan(
 
 
 def test_confirmation_sets_are_forecast_as_an_upper_bound():
-    """Two a day at each of three transducers, over the fourteen days that begin after a baseline of 24 h."""
+    """Two per day at each of three transducers, in the fourteen days after a baseline of 24 h."""
     a_set = most_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
     rows = CATALOGUE_BYTES_A_RECORD * Settings().schedule.shots_per_set
     # Ten records of one transducer: a third of the set's strikes, and what each file has of its own.
@@ -395,7 +395,7 @@ def test_a_full_volume_is_reported_even_if_the_test_would_fit(
 
 
 def started(folder: Path) -> str:
-    """A recorder that takes its folder and leaves; what it says where it may not."""
+    """Run a recorder that takes the folder and ends; return its error if the folder is in use."""
     try:
         with own_data_folder(folder, patience_s=0.0):
             return ""
@@ -425,7 +425,7 @@ def test_no_recorder_starts_while_the_doctor_strikes(
 def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folder_free(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Refused, it would end with a final exit code and its supervisor would end the test."""
+    """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     assert started(folder) == "", "a recorder was here"
@@ -444,7 +444,7 @@ def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folde
 def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another user's recorder: its boards must not be touched."""
+    """It may be the recorder of another user, whose boards must not be used."""
     prepare_data_folder(tmp_path)
     (tmp_path / "recorder.lock").touch()
 
@@ -466,7 +466,7 @@ def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """A survey made up: `hardware_drivers.daqmx.survey.survey` on doubles is tested elsewhere."""
+    """Survey with given results: `hardware_drivers.daqmx.survey.survey` has its own tests."""
 
     findings: tuple[Finding, ...] = ()
     driver_version: str = "24.8.0"

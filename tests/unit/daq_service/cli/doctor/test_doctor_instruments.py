@@ -1,4 +1,4 @@
-"""What the doctor finds at supply, climate probe and ultrasonic probe; it never switches anything."""
+"""Checks of supply, climate probe and ultrasonic probe by `solimon doctor`, which switches nothing."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

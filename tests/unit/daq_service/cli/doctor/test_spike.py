@@ -1,4 +1,4 @@
-"""What the look at a coil's spike says: its state, and a remedy that is made of numbers there are."""
+"""Check of a coil's voltage spike: its state, and a remedy with the measured values."""
 
 from dataclasses import replace
 from types import SimpleNamespace

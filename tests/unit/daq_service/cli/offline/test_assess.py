@@ -1,4 +1,4 @@
-"""``solimon assess``: tables of other people in, JSON or words out."""
+"""``solimon assess``: foreign tables as input, JSON or text as output."""
 
 import json
 
@@ -34,7 +34,7 @@ def vectors():
 
 @pytest.fixture
 def tables(tmp_path, vectors):
-    """The same sensor in each format."""
+    """Return files of the same sensor in each format."""
     np.save(tmp_path / "sensor.npy", vectors)
     parts = ["healthy" if row < 40 else "test" for row in range(len(vectors))]
     parquet.write_table(
@@ -391,7 +391,7 @@ def test_sensors_of_a_fleet_have_the_same_features(tmp_path):
 
 
 def written(path, columns, separator=",", **options):
-    """A table of other people: cells as texts."""
+    """Write a foreign table with cells as text."""
     rows = [separator.join(map(str, row)) for row in zip(*columns.values(), strict=True)]
     path.write_text("\n".join([separator.join(columns), *rows]), **{"encoding": "utf-8", **options})
     return path

@@ -1,4 +1,4 @@
-"""A stored test judged once more: what other settings change, and why an alarm stands."""
+"""Replay of a stored test with other settings, and explanation of its alarms."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def life(tmp_path_factory):
 
 @pytest.fixture
 def changed_line(line, tmp_path):
-    """Give a copy of the folder in whose catalogue these rows of B stand otherwise."""
+    """Return a copy of the folder in whose catalogue some rows of B have other values."""
 
     def change(kind, set_index, **columns):
         folder = tmp_path / "changed"
@@ -64,7 +64,7 @@ def explain(folder, alarm_id, out, *options):
 
 
 def content_of(folder):
-    """Every file and its bytes, but for what SQLite notes of its readers."""
+    """Return every file and its bytes, except the read marks of SQLite."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {path: path.read_bytes() for path in files if not path.name.endswith(("-shm", "-wal"))}
 
@@ -74,7 +74,7 @@ def raised(onsets):
 
 
 class Elsewhere(Executor):
-    """Does its tasks at once, with copies, as another process has them."""
+    """Executor double that runs tasks immediately on copies, as another process does."""
 
     def submit(self, work, /, *arguments):
         future = Future()

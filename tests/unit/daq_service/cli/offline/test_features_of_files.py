@@ -1,4 +1,4 @@
-"""``solimon features``: records of other people in, JSON or a table out."""
+"""``solimon features``: foreign records as input, JSON or a table as output."""
 
 import json
 
@@ -314,7 +314,7 @@ WAVE = {"wf_increment": 1e-6, "wf_start_offset": -1e-4, "unit_string": "V"}
 
 
 def test_appended_records_of_labview_are_split(tmp_path):
-    """4,000 samples of which `wf_samples` is 800 are five records; beside them other channels and groups."""
+    """4,000 samples with `wf_samples` = 800 are five records, next to other channels and groups."""
     records, longer = short_volts(5), short_volts(3, 1_000)
     counts = np.round(records / 1e-3).astype(np.int16)
     scaled = {**WAVE, "wf_samples": 800, **polynomial([0.0, 1e-3])}

@@ -1,4 +1,4 @@
-"""Rows of a sweep: every combination once, checked by the bounds of the configuration itself."""
+"""Rows of a sweep: every combination once, checked by the bounds of the configuration."""
 
 from dataclasses import fields, replace
 

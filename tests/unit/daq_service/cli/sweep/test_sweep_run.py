@@ -1,4 +1,4 @@
-"""A sweep from plan to files: the same table however it was computed, interrupted or stored."""
+"""A sweep from plan to files: the table does not depend on executor, interruption or storage."""
 
 import csv
 import errno
@@ -56,7 +56,7 @@ def swept(plan: Plan, stop: threading.Event | None = None, **options: Any) -> Sw
 
 
 class InlineExecutor(Executor):
-    """Computes at once, in this thread; remembers what, and may do something after each task."""
+    """Executor double that computes in this thread, records the tasks, and calls a hook after each."""
 
     def __init__(self, after_task: Callable[[], None]) -> None:
         self.indices: list[int] = []
@@ -85,7 +85,7 @@ def recording(
 
 
 def interrupted(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -> list[int]:
-    """Stop a sweep after its first tasks; indices of the rows that were computed."""
+    """Stop a sweep after its first tasks; return the indices of the computed rows."""
     stop = threading.Event()
     executor = recording(monkeypatch, stop.set)
     with pytest.raises(KeyboardInterrupt):

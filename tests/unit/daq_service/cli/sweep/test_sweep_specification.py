@@ -1,4 +1,4 @@
-"""Words of a sweep: every text is either a list of values or a refusal that says what to write."""
+"""Sweep specifications: every text is a list of values or is rejected with a remedy."""
 
 from pathlib import Path
 
