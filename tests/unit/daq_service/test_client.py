@@ -81,7 +81,7 @@ def of_service(service):
 
 
 @pytest.mark.parametrize("resource", TABLES)
-def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, service):
+def test_folder_service_and_page_agree(resource, of_folder, of_service, service):
     here, there = TABLES[resource](of_folder), TABLES[resource](of_service)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     with service.client() as http:
@@ -167,7 +167,7 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
         (lambda test: test.assessments(from_h=5, to_h=1), "Let to_h be at least from_h"),
     ],
 )
-def test_what_cannot_be_says_why(asked, message, of_folder, of_service):
+def test_an_impossible_request_has_its_reason(asked, message, of_folder, of_service):
     for test in (of_folder, of_service):
         with pytest.raises(client.ClientError, match=message):
             asked(test)
@@ -186,7 +186,7 @@ def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
 
 
 @pytest.mark.parametrize("way", ["of_folder", "of_service"])
-def test_news_is_followed_from_where_one_left(way, filled, request):
+def test_events_are_followed_from_the_last_one(way, filled, request):
     test = request.getfixturevalue(way)
     first = test.info()["last_event_id"]
     event_id = filled.say("noted", text="one")

@@ -170,7 +170,7 @@ def taken(answers, positions=None, shots_per_set=2, **hooks):
     return found, error, instruments
 
 
-def test_echoes_come_first_then_one_transducer_after_the_other():
+def test_echoes_are_taken_before_the_transducers_in_order():
     found, _, _ = taken([])
     assert [(item.key.position, item.key.shot_index) for item in found] == [
         ("A", 0),
@@ -193,14 +193,14 @@ def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
     assert [item.sequence for item in found if not isinstance(item, MissedShot)] == [7, 8, 9, 10]
 
 
-def test_a_connection_lost_three_records_running_ends_the_set():
+def test_a_lost_connection_in_three_consecutive_records_ends_the_set():
     found, error, _ = taken([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
     assert error is LOST
     reasons = [item.reason if isinstance(item, MissedShot) else "" for item in found]
     assert reasons == ["", *["connection_lost"] * 2, "", *["connection_lost"] * 3]
 
 
-def test_what_can_never_work_ends_the_set_at_once_and_safely():
+def test_a_permanent_error_ends_the_set_immediately_and_safely():
     wrong = ConfigurationError("no such channel")
     found, error, instruments = taken([ACQUIRED, ACQUIRED, wrong])
     assert error is wrong
@@ -231,7 +231,7 @@ def test_no_repetition_is_requested_after_a_lost_connection():
     assert [shot.key.shot_index for shot in asked] == [1]
 
 
-def test_a_transducer_that_an_order_retires_is_struck_no_more():
+def test_a_transducer_disabled_by_a_command_is_not_struck_again():
     allowed = {"B", "C"}
     found, _, _ = taken(
         [], wants_restrike=lambda shot: allowed.discard("B"), may_strike=lambda position: position in allowed
@@ -239,7 +239,7 @@ def test_a_transducer_that_an_order_retires_is_struck_no_more():
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 
-def test_a_strike_that_waits_is_not_struck_when_its_transducer_is_retired_meanwhile():
+def test_a_pending_strike_is_dropped_when_its_transducer_is_disabled():
     allowed, looks = {"B", "C"}, count()
 
     def idle():

@@ -34,7 +34,7 @@ def taken_set(*measurements, budget=3, **values):
     return taken
 
 
-def test_what_is_kept_goes_where_it_belongs():
+def test_shots_and_missed_records_are_stored_by_position():
     taken = taken_set()
     assert taken.is_empty
     for measurement in (missed("B", 0), make_echo(40), make_shot("B", 0, 41, attempt=1)):
@@ -49,7 +49,7 @@ def test_what_is_kept_goes_where_it_belongs():
     )
 
 
-def test_misses_alone_are_no_record():
+def test_missed_strikes_alone_are_no_record():
     assert taken_set(missed("B", 0)).is_empty
 
 
@@ -58,7 +58,7 @@ def test_a_repeated_shot_is_one_shot():
     assert (taken.n_records("B"), taken.n_records("C"), taken.n_records("D")) == (1, 1, 0)
 
 
-def test_a_granted_repetition_is_counted_for_its_transducer_alone():
+def test_a_repetition_counts_only_for_its_transducer():
     taken = taken_set(budget=1)
     assert taken.wants_restrike(missed("B", 0))
     assert not taken.wants_restrike(missed("B", 1)), "the budget is used up"
@@ -75,7 +75,7 @@ def test_a_restrike_is_requested_according_to_the_quality_flags(features, wanted
     assert taken.wants_restrike(shot) is wanted
 
 
-def test_a_shot_whose_analysis_fails_is_flagged_and_costs_nothing_else(monkeypatch):
+def test_a_failed_analysis_flags_only_its_shot(monkeypatch):
     def fails(waveform):
         raise ZeroDivisionError("a fault of the analysis")
 
@@ -84,7 +84,7 @@ def test_a_shot_whose_analysis_fails_is_flagged_and_costs_nothing_else(monkeypat
     assert (found.flags, found.valid, found.quality) == (("not_analysed",), False, "bad")
 
 
-def test_a_whole_position_has_no_shortfall():
+def test_a_complete_position_has_no_shortfall():
     taken = taken_set(missed("B", 0), make_shot("B", 0, 1, attempt=1), make_shot("B", 1, 2))
     assert taken.shortfall("B", 2, STOPPED) == ""
 
@@ -117,7 +117,7 @@ def test_an_instrument_error_has_its_class_name():
     )
 
 
-def test_outcomes_are_found_position_by_position():
+def test_outcomes_are_listed_by_position():
     shots = [
         make_shot("B", 0, 1),
         make_shot("B", 0, 2, attempt=1),

@@ -72,23 +72,23 @@ def test_a_condition_is_gone_for_the_off_delay_before_the_alarm_returns():
     assert alarm.row.state == "normal"
 
 
-def test_an_alarm_that_comes_back_waits_for_its_on_delay_again():
+def test_an_alarm_that_is_active_again_waits_for_its_on_delay():
     alarm = Alarm(on_delay_s=60.0).update(0, True).update(60, True).update(70, False).update(80, True)
     assert (alarm.row.state, alarm.since_ns) == ("returned_unacknowledged", 80 * NS_PER_S)
     assert alarm.update(140, True).events[-1] == (140, "alarm_returned")
 
 
-def test_within_the_dead_band_or_unknown_the_quantity_is_not_back():
+def test_a_quantity_in_the_deadband_or_unknown_is_not_normal():
     alarm = Alarm(dead_band_fraction=0.1).update(0, True, 1.4).update(1, False, 0.95).update(2, False)
     assert alarm.events == [(0, "alarm_raised")]
     assert alarm.update(3, False, 0.9).events[1:] == [(3, "alarm_cleared")]
 
 
-def test_a_dead_band_raises_nothing():
+def test_a_deadband_raises_no_alarm():
     assert Alarm(dead_band_fraction=0.1).update(0, False, 0.95).update(1, False).events == []
 
 
-def test_an_off_delay_begins_behind_the_dead_band():
+def test_an_off_delay_starts_after_the_deadband():
     alarm = Alarm(dead_band_fraction=0.1, off_delay_s=60.0).update(0, True, 2.0)
     alarm.update(10, False, 0.95).update(80, False, 0.8).update(139, False, 0.8)
     assert alarm.events == [(0, "alarm_raised")]
@@ -109,5 +109,5 @@ def test_without_a_rule_an_alarm_follows_its_condition_at_once(conditions):
 
 
 @pytest.mark.parametrize("kind", [*LONGEST_DELAY_S, *DEAD_BAND_KINDS])
-def test_there_are_alarms_of_the_kinds_that_may_wait(kind):
+def test_every_kind_with_a_delay_is_an_alarm_kind(kind):
     assert kind in GUIDANCE

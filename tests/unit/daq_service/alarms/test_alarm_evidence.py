@@ -70,7 +70,7 @@ CHART: dict[str, Any] = {
 }
 
 
-def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
+def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate() -> None:
     assert evidence("wall_change", CHART) == [
         (
             "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
@@ -116,7 +116,7 @@ MOST_LISTED: dict[str, str] = {
 
 
 @pytest.mark.parametrize("kind", MOST_LISTED)
-def test_each_kind_says_what_it_rests_on(kind: str) -> None:
+def test_each_kind_states_its_evidence(kind: str) -> None:
     assert " ".join(evidence(kind, PROOFS.get(kind, {}))) == " ".join(MOST_LISTED[kind].split())
 
 
@@ -136,7 +136,7 @@ def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
     )
 
 
-def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_name() -> None:
+def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name() -> None:
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
     assert proof_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
@@ -156,7 +156,7 @@ def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
 
 
 @pytest.mark.parametrize(("cause", "counts"), [("wall", True), ("coupling", False)])
-def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause: str, counts: bool) -> None:
+def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause: str, counts: bool) -> None:
     confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
     last = evidence("wall_change", {"cause": cause, "confirmation": confirmation})[-1]
     assert ("counts that set" in last) is counts
@@ -172,5 +172,5 @@ def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.D
     assert "None" not in "".join(sentences)
 
 
-def test_the_features_of_the_distance_have_words() -> None:
+def test_the_features_of_the_distance_have_names() -> None:
     assert tuple(FEATURES) == FEATURE_NAMES

@@ -75,7 +75,7 @@ def test_an_acknowledged_alarm_ends_with_its_condition() -> None:
     assert change.row.state == "normal"
 
 
-def test_a_condition_that_returns_asks_for_attention_again() -> None:
+def test_a_condition_that_is_active_again_needs_a_new_acknowledgement() -> None:
     cleared = update(raised(), condition(False), moment(1))
     assert cleared is not None
     again = update(cleared.row, condition(True), moment(2))
@@ -83,7 +83,7 @@ def test_a_condition_that_returns_asks_for_attention_again() -> None:
     assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_returned")
 
 
-def test_what_returns_says_what_is_known_now() -> None:
+def test_a_reactivated_alarm_has_the_present_message() -> None:
     cleared = update(raised(proof={"limit": 24.3}, severity="medium"), condition(False), moment(4))
     assert cleared is not None
     back = condition(True, message="WALL (99 %)", known="wall", proof={"limit": 25.0})
@@ -115,11 +115,11 @@ def test_a_closed_alarm_stays_in_the_history() -> None:
     assert change.row.id is None, "a new appearance is a new row"
 
 
-def test_a_hole_does_not_heal() -> None:
+def test_a_hole_alarm_is_latched() -> None:
     assert update(raised(kind="hole"), condition(False, kind="hole", latched=True), moment(1)) is None
 
 
-def test_severity_only_rises_and_asks_for_attention() -> None:
+def test_a_priority_only_rises_and_needs_a_new_acknowledgement() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
     assert update(seen, condition(True, severity="low"), moment(2)) is None
     worse = update(seen, condition(True, severity="critical"), moment(2))
@@ -133,7 +133,7 @@ def test_a_second_acknowledgement_is_rejected() -> None:
         acknowledge(seen, "ann", "", moment(2))
 
 
-def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
+def test_a_reset_ends_a_latched_alarm_and_stores_its_author() -> None:
     change = reset(raised(kind="hole"), "ann", "contact put right", moment(6))
     assert change.event_kind == "alarm_reset"
     row = change.row
@@ -145,7 +145,7 @@ def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
     assert (again.event_kind, again.row.id) == ("alarm_raised", None)
 
 
-def test_a_reset_keeps_who_saw_the_alarm_first_and_an_old_note_where_there_is_no_new_one() -> None:
+def test_a_reset_keeps_the_acknowledging_author_and_an_old_note() -> None:
     seen = acknowledge(raised(kind="hole"), "bob", "looked at it", moment(2)).row
     row = reset(seen, "ann", "", moment(6)).row
     assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("bob", moment(2).utc_ns)
@@ -179,15 +179,15 @@ def standing(position: str | None, kind: str, state: AlarmState = "unacknowledge
 
 @pytest.mark.parametrize("kind", ["hole", "retired"])
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged", "returned_unacknowledged"])
-def test_a_standing_hole_or_retirement_takes_a_transducer_out(kind: str, state: str) -> None:
+def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state: str) -> None:
     assert retired_positions([standing("B", kind, state)]) == {"B": f"{kind} at B"}
 
 
-def test_a_reset_alarm_lets_it_strike_again() -> None:
+def test_a_reset_alarm_enables_the_transducer() -> None:
     assert retired_positions([standing("B", "hole", "normal"), standing("C", "retired", "normal")]) == {}
 
 
-def test_one_of_two_standing_is_enough() -> None:
+def test_one_of_two_active_alarms_is_enough() -> None:
     rows = (standing("B", "hole", "normal"), standing("B", "retired"))
     assert retired_positions(rows) == {"B": "retired at B"}
 

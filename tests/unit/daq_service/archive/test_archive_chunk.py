@@ -63,7 +63,7 @@ def test_hdf5_reads_what_was_written(tmp_path, n, dtype, rms_counts):
 
 
 @pytest.mark.skipif(shutil.which("h5dump") is None, reason="the HDF5 command-line tools are not installed")
-def test_the_tools_of_hdf5_read_it_too(tmp_path):
+def test_the_hdf5_tools_read_the_chunks(tmp_path):
     values = record(160.0, n=50).reshape(1, -1)
     path = file_with(tmp_path / "set.h5", values, (1, 50))
     # -y -w 0: data only, on one line.
@@ -75,7 +75,7 @@ def test_the_tools_of_hdf5_read_it_too(tmp_path):
 
 
 @pytest.mark.parametrize("rms_counts", [0.0, 1.0, 3.0, 20.0, 160.0])
-def test_it_is_no_longer_than_what_hdf5_writes(tmp_path, rms_counts):
+def test_a_chunk_is_not_longer_than_that_of_hdf5(tmp_path, rms_counts):
     values = np.stack([record(rms_counts, seed=seed) for seed in range(5)])
     ours = chunk_bytes(file_with(tmp_path / "ours.h5", values, (1, SAMPLES)))
     theirs = chunk_bytes(by_hdf5(tmp_path / "theirs.h5", values, (1, SAMPLES)))
@@ -109,7 +109,7 @@ def test_the_checksum_is_that_of_hdf5(tmp_path, n, content):
     assert fletcher32(values.tobytes()) == int.from_bytes(chunk[-4:], "little")
 
 
-def test_a_flipped_bit_of_a_stored_plane_is_found(tmp_path):
+def test_a_flipped_bit_of_a_stored_plane_is_detected(tmp_path):
     values = record(160.0).reshape(1, -1)
     path = file_with(tmp_path / "set.h5", values, (1, SAMPLES))
     with h5py.File(path) as file:

@@ -56,7 +56,7 @@ class Refusing:
 
 
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
-def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, monkeypatch, name):
+def test_after_a_write_error_data_go_to_a_new_segment(archive, tmp_path, monkeypatch, name):
     append_set(archive, make_set())
     monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
@@ -98,7 +98,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
     assert first.sequence in {item.sequence for item in opened.records}
 
 
-def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
+def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monkeypatch):
     append_set(archive, make_set())
     with monkeypatch.context() as patch:
         patch.setattr(writer, "write_all", Refusing(writer.write_all, 99))
@@ -110,14 +110,14 @@ def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, 
     assert bits(FolderArchive(tmp_path).read_set(stored.file)) == bits(make_set())
 
 
-def test_a_nearly_full_disk_is_used_to_its_end(archive, monkeypatch):
+def test_a_nearly_full_disk_is_used_completely(archive, monkeypatch):
     """A record is written even if a whole segment does not fit."""
     monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
     append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 
 
-def test_segments_go_with_their_last_set(tmp_path):
+def test_a_segment_is_removed_with_its_last_set(tmp_path):
     """Sets have several segments, and segments have several sets."""
     small = 3 * RECORDS[0].waveform.counts.nbytes
     sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
@@ -136,7 +136,7 @@ def test_segments_go_with_their_last_set(tmp_path):
     assert list(segments(tmp_path)) == []
 
 
-def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
+def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
     """A set extends over syncs, segments and a restart; no other set is read with it."""
     first, second, third = (other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3))
     small = 4 * RECORDS[0].waveform.counts.nbytes
@@ -204,7 +204,7 @@ def no_file(number):
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EMFILE, errno.ENOENT], ids=errno.errorcode.get)
-def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, monkeypatch, number):
+def test_a_temporary_read_error_is_no_corruption(archive, tmp_path, monkeypatch, number):
     """Corruption is not retried, and a set that is reported absent from the journal would be lost."""
     archive.store_set(make_set())
 
@@ -215,7 +215,7 @@ def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, mon
     compact_set(tmp_path, SET_INDEX)
 
 
-def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monkeypatch):
+def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archive, tmp_path, monkeypatch):
     """A start quarantines corrupt files without rows and must not quarantine this one."""
     stored = archive.store_set(make_set())
     compact_set(tmp_path, SET_INDEX)
@@ -236,7 +236,7 @@ def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_pa
     assert list(segments(tmp_path)) == []
 
 
-def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
+def test_an_incomplete_set_is_not_finalized(archive, tmp_path):
     with pytest.raises(SetNotFoundError, match="no set 7"):
         compact_set(tmp_path, SET_INDEX)
     append_set(archive, make_set())
@@ -245,7 +245,7 @@ def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
         compact_set(tmp_path, SET_INDEX)
 
 
-def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
+def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
     """The end is stored and a record is missing: the set was not acknowledged and is taken again."""
     append_set(archive, make_set())
     archive.store_set(make_set())

@@ -30,7 +30,7 @@ def test_every_record_comes_back_bit_for_bit():
 
 
 @pytest.mark.parametrize("odd", [float("nan"), float("inf"), -0.0, 5e-324])
-def test_a_number_that_json_has_no_word_for_comes_back(odd):
+def test_a_number_without_json_representation_is_restored(odd):
     shot = make_shot("B", 0, 1, truth={"depth_m": odd}, settings={"note": "null", "gain": odd})
     (frame,) = frames(b"".join(record_frame(shot)))
     assert bits(record_of(frame)) == bits(shot)
@@ -55,7 +55,7 @@ def test_a_segment_cut_anywhere_keeps_what_came_before():
         assert len(found) == sum(end <= length for end in ends)
 
 
-def test_the_next_frame_is_found_behind_a_page_that_was_never_written():
+def test_the_next_frame_is_found_after_an_unwritten_page():
     start = len(WRITTEN[0]) + 100
     content = SEGMENT[:start] + bytes(500) + SEGMENT[start + 500 :]
     found = sound(content)

@@ -137,7 +137,7 @@ def path(tmp_path):
 
 
 @pytest.mark.parametrize("change", REFUSED, ids=lambda change: change.__name__[1:])
-def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
+def test_external_links_and_wrong_sizes_are_rejected(path, change):
     with h5py.File(path, "r+") as file:
         change(file["entry"], path.with_name("secret"))
     pattern = re.compile(REFUSED[change])
@@ -156,7 +156,7 @@ def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a right there that few users have")
-def test_a_link_in_a_data_folder_is_refused(path):
+def test_a_link_in_a_data_folder_is_rejected(path):
     link = path.with_name("link.h5")
     link.symlink_to(path)
     with pytest.raises(CorruptArchiveError, match="it is a link"):

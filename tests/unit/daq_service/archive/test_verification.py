@@ -46,7 +46,7 @@ def test_a_file_as_it_was_written_is_clean(path, image):
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
-def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers):
+def test_a_corrupt_file_is_reported_or_reads_unchanged(path, image, numbers):
     named = 0
     for number in numbers:
         content = damaged(image, number)
@@ -62,7 +62,7 @@ def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers
 
 
 @pytest.mark.parametrize("length", [0, 1 << 40, (1 << 64) - 16], ids=["zeros", "far", "back"])
-def test_a_heap_of_strings_in_which_hdf5_would_stay_for_ever_is_named(path, image, length):
+def test_a_string_heap_with_an_endless_loop_is_reported(path, image, length):
     at = image.index(b"GCOL")
     first, free = at + 16, struct.pack("<H6xQ", 0, length)
     path.write_bytes(image[:first] + free + image[first + len(free) :])
@@ -70,7 +70,7 @@ def test_a_heap_of_strings_in_which_hdf5_would_stay_for_ever_is_named(path, imag
     assert f"the object at byte {first} of a heap of strings has the length {length}" in found.reason
 
 
-def test_a_damaged_record_is_named_by_its_shot(path, image):
+def test_a_corrupt_record_is_reported_with_its_shot(path, image):
     with h5py.File(path, "r+") as file:
         place = file["entry/B_waveforms/waveform"].id.get_chunk_info(1).byte_offset
     content = bytearray(image)
@@ -81,7 +81,7 @@ def test_a_damaged_record_is_named_by_its_shot(path, image):
     assert [item.sequence for item in found.record.records] == [40, 41, 43, 44]
 
 
-def test_a_file_that_contradicts_itself_is_named_by_the_place(path):
+def test_an_inconsistent_file_is_reported_with_the_location(path):
     with h5py.File(path, "r+") as file:
         file["entry/B_waveforms/time"][3] = 1.0
         file["entry/B_waveforms"].attrs["signal"] = np.bytes_("waveform")
@@ -89,7 +89,7 @@ def test_a_file_that_contradicts_itself_is_named_by_the_place(path):
     assert "entry/B_waveforms/time is not what the rest of the file says" in map(str, found.damages)
 
 
-def test_what_only_another_library_packs_otherwise_is_no_damage(path, image):
+def test_a_different_compression_library_is_no_corruption(path, image):
     with h5py.File(path, "r+") as file:
         values = file["entry/B_waveforms/waveform"][()]
         file["entry/B_waveforms/waveform"][()] = values
@@ -144,7 +144,7 @@ def test_a_journal_as_it_was_written_is_clean(journal):
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
-def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers):
+def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
     path = segment_path(journal, 1)
     content, before = path.read_bytes(), parsed_line(journal)
     used = len(content.rstrip(b"\0"))
@@ -164,7 +164,7 @@ def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers)
         assert all(file == "journal/000001.journal" for file, _ in found.damages)
 
 
-def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
+def test_a_corrupt_frame_is_reported_with_its_shot_and_the_others_are_read(journal):
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
@@ -192,7 +192,7 @@ def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
 
 
 @pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
-def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
+def test_an_incomplete_last_frame_is_no_corruption(journal, cut):
     """The segment is not preallocated; in a preallocated one, pages of zeros follow."""
     path = segment_path(journal, 1)
     content = path.read_bytes()
@@ -201,7 +201,7 @@ def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
     assert check_journal(journal).damages == []
 
 
-def test_a_group_that_failed_and_went_to_a_new_segment_is_no_damage(journal):
+def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
     first, second = segment_path(journal, 1), segment_path(journal, 2)
     content = first.read_bytes()
     last = [*frame_format.frames(content)][-1]

@@ -36,7 +36,7 @@ def test_each_sample_is_in_the_cell_of_its_time(alignment, width, anchor_s):
     np.testing.assert_array_equal(of_record(waveform, anchor_s, frame), expected)
 
 
-def test_a_frame_holds_the_whole_record_in_few_cells():
+def test_a_frame_covers_the_whole_record_in_few_cells():
     waveform = Scene().waveform()
     frame = frame_of(waveform, "trigger")
     assert (frame.width, frame.n_cells <= 1024) == (16, True)
@@ -48,7 +48,7 @@ def test_a_frame_holds_the_whole_record_in_few_cells():
     assert aligned.first_s == pytest.approx(-0.5 * 13_000 / 10e6, abs=aligned.cell_s)
 
 
-def test_records_shifted_by_known_fractions_of_a_sample_lie_over_one_another():
+def test_records_shifted_by_fractions_of_a_sample_are_aligned():
     """The same pulse at 64 fractions of a sample: after alignment no peak is a cell off."""
     scene = Scene(ssw_fraction=0.0)
     frame = frame_of(scene.waveform(), "first").part(None, None, 1)

@@ -155,7 +155,7 @@ def test_tiles_draw_what_the_records_hold(copied, stored, tiles, alignment, want
         np.testing.assert_array_equal(row.planes, planes)
 
 
-def test_of_few_sets_samples_are_seen_though_tiles_are_coarser(tmp_path):
+def test_few_sets_show_samples_finer_than_the_tiles(tmp_path):
     its = Stored(n_sets=2, n_samples=1300)
     its.keep(tmp_path)
     tiles = tiles_of(tmp_path, EXPERIMENT, its.records[0], "B", "trigger")
@@ -178,7 +178,7 @@ def test_a_single_sample_is_seen_at_every_level(copied, stored, tiles, rows, col
     assert max(picture.peaks) == spike
 
 
-def test_a_whole_picture_reads_no_record(copied, stored, tiles):
+def test_a_figure_from_complete_tiles_reads_no_record(copied, stored, tiles):
     before = stored.n_read
     for rows in (1, 4, 30, 100):
         drawn(stored, tiles("trigger"), replace(ALL, rows=rows))
@@ -206,7 +206,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_what_is_wrong_with_a_tile_is_in_no_picture_and_is_made_again(copied, stored, tiles, level, fault):
+def test_a_corrupt_tile_is_not_shown_and_is_made_again(copied, stored, tiles, level, fault):
     wanted = replace(ALL, rows=100 // 4**level)
     sound = drawn(stored, tiles("first"), wanted)
     path = copied / TILES_FOLDER / "B" / "first" / f"{4**level:04d}-000000.tile"
@@ -224,7 +224,7 @@ def test_what_is_wrong_with_a_tile_is_in_no_picture_and_is_made_again(copied, st
     assert stored.n_read == before, "the tiles are whole again"
 
 
-def test_tiles_of_another_experiment_are_not_taken_and_give_way(tmp_path, stored, tiles):
+def test_tiles_of_another_experiment_are_ignored_and_replaced(tmp_path, stored, tiles):
     foreign = Stored()
     foreign.records = {index: other_set(foreign.records[0], index) for index in foreign.files}
     foreign.keep(tmp_path, experiment="cd/1", indices=[0])
@@ -235,7 +235,7 @@ def test_tiles_of_another_experiment_are_not_taken_and_give_way(tmp_path, stored
     np.testing.assert_array_equal(row.planes, expected[0])
 
 
-def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
+def test_a_row_that_lacks_a_set_is_skipped(tmp_path, stored, tiles):
     """The disk rejected the tile of one set: rows above it lack a set, so its records are read."""
     stored.keep(tmp_path, indices=[index for index in stored.files if index != SPIKED])
     before = stored.n_read
@@ -248,7 +248,7 @@ def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
     assert (max(picture.peaks), stored.n_read) == (np.float32(spike), before + 1)
 
 
-def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
+def test_existing_folders_are_not_created_again(copied, stored, monkeypatch):
     """A disk that rejects new folders costs no tile in the existing ones."""
     tile = copied / TILES_FOLDER / "B" / "first" / "0001-000000.tile"
     whole = tile.read_bytes()
@@ -271,7 +271,7 @@ def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored
     assert n_bytes(tmp_path) == n_bytes(kept) > 0
 
 
-def test_without_tiles_a_picture_grows_from_the_records_in_bounded_steps(stored, tiles):
+def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, tiles):
     reader, before = WaterfallReader(stored), stored.n_read
     first = reader.picture(tiles("trigger"), stored, ALL)
     assert stored.n_read == before + SETS_AT_ONCE
@@ -281,7 +281,7 @@ def test_without_tiles_a_picture_grows_from_the_records_in_bounded_steps(stored,
     assert stored.n_read == before + len(stored.files), "what was read once is remembered"
 
 
-def test_records_that_are_gone_are_named(stored, tiles):
+def test_missing_records_are_named(stored, tiles):
     its = Stored()
     its.files[3] = its.files[3].replace("set_", "gone_")
     picture = WaterfallReader(its).picture(tiles("trigger"), its, replace(ALL, first=2, last=4))

@@ -100,7 +100,7 @@ def row_of(assessment):
 @pytest.mark.parametrize(
     ("cause", "raised"), [(OK, set()), (SENSOR, {"transducer_change"}), (WALL, {"wall_change"})]
 )
-def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
+def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     state, assessment = run(CHANGES[cause])
     assert assessment.cause.cause == cause
     found = wall_conditions("B", state, RULES, row_of(assessment))
@@ -138,11 +138,11 @@ KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMI
         ("?SSSoooooo", "weeeeeeeee"),
     ],
 )
-def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, expected):
+def test_an_alarm_changes_its_kind_only_for_a_persistent_diagnosis(causes, expected):
     assert origins(causes) == expected
 
 
-def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
+def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
     stood = []
 
     def noted(before, cause, **how):
@@ -159,7 +159,7 @@ def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
     assert state.origin == Origin(elsewhere=True)
 
 
-def test_a_restart_knows_where_a_change_comes_from():
+def test_a_restart_restores_the_origin_of_a_change():
     kept = json.loads(json.dumps(kept_origin(Origin(elsewhere=True, otherwise=3))))
     assert origin_of(kept, UNDETERMINED) == Origin(elsewhere=True, otherwise=3)
     # An earlier version kept none.
@@ -179,7 +179,7 @@ def test_an_undetermined_cause_raises_the_wall_alarm():
     assert wall.message.endswith("wall or transducer has changed; inspect")
 
 
-def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_says_so():
+def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     chart = replace(RULES, decides_by="chart")
     state, assessment = run(CHANGES[OK])
     quiet = replace(state.memory, alarming=False)
@@ -222,7 +222,7 @@ def test_a_restart_continues_from_the_stored_diagnosis_state():
     assert earlier == replace(before.diagnosis_state, likely=False)
 
 
-def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
+def test_a_set_without_an_incident_wave_width_keeps_the_diagnosis_state():
     state, _ = run(CHANGES[OK])
     design = state.baseline.causes
     memory, cause = cause_after(state.diagnosis_state, design, SETS, {"isw_fwhm_s": None}, suspicious=True)
@@ -230,7 +230,7 @@ def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
     assert cause_confirmed(memory, design, {"isw_fwhm_s": None}) == (memory, None)
 
 
-def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s_and_planned_sets_keep_that():
+def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     foot = 0.3 * np.array(STIFFNESS[-1])
     change = np.where(np.arange(SETS)[:, None] > LAST + 20, foot, 0.0)
     struck_after, found = LAST + 25, sets(change)

@@ -57,7 +57,7 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     assert proof["roughness_rms_m"] < 0.05e-3
 
 
-def test_without_a_back_wall_there_is_a_flag_and_no_number():
+def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
     made = assessor()
     assessed(made, echo_volts(6.35e-3, STRAIGHT))
     noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
@@ -86,7 +86,7 @@ def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings)
     assert "clipped" in found.note
 
 
-def test_the_separation_of_the_elements_is_taken_off_where_it_is_known():
+def test_a_known_element_separation_is_corrected():
     echo = replace(STRAIGHT, element_separation_m=2.7e-3)
     read_m = {}
     for known_m in (0.0, 2.7e-3):

@@ -36,7 +36,7 @@ def test_a_result_whose_record_is_lost_is_left_out():
     assert results(FEATURE, WALL, shots=[]) == {}
 
 
-def test_a_copy_is_like_its_rows_also_where_there_is_no_value():
+def test_a_copy_equals_its_rows_also_without_a_value():
     assert list(differing(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
 
 
@@ -50,6 +50,6 @@ def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
     ]
 
 
-def test_another_version_of_the_extractor_is_passed_over():
+def test_another_version_of_the_extractor_is_not_compared():
     other = replace(FEATURE, tof_pp_s=1.0, extractor_version="2")
     assert list(differing(results(FEATURE), results(other))) == []

@@ -74,7 +74,7 @@ def test_sets_are_not_assessed_until_the_baseline_is_complete():
         assert assessment.reason == "the baseline is being recorded"
 
 
-def test_the_last_set_closes_the_baseline_with_every_limit():
+def test_the_last_set_completes_the_baseline_with_every_limit():
     state, assessment = after(baseline())
     assert assessment.in_baseline
     fitted = state.baseline.fitted
@@ -103,7 +103,7 @@ def test_poor_sets_are_left_out_of_the_baseline_and_counted():
     assert assessment.reason == "left out of the baseline: too few valid shots"
 
 
-def test_too_few_healthy_sets_give_no_limit_and_say_why():
+def test_too_few_healthy_sets_give_no_limit_but_a_reason():
     state, assessment = after([*baseline(), a_set(LAST + 1)], replace(RULES, minimum_sets=21))
     assert state.baseline.fitted is None
     assert "; it needs 21 (baseline.minimum_sets)" in state.baseline.reason
@@ -111,7 +111,7 @@ def test_too_few_healthy_sets_give_no_limit_and_say_why():
     assert assessment.reason == state.baseline.reason
 
 
-def test_an_outlier_lies_beyond_the_deciding_limit_only():
+def test_an_outlier_exceeds_the_deciding_limit():
     sets = [*baseline(), a_set(LAST + 1, shift=0.012)]
     assessment = after(sets)[1]
     baseline_state = after(baseline())[0].baseline
@@ -125,7 +125,7 @@ def test_an_outlier_lies_beyond_the_deciding_limit_only():
     assert sum(assessment.contributions.values()) == pytest.approx(assessment.distance_squared, rel=1e-12)
 
 
-def test_the_alarm_follows_its_rule_and_an_unjudged_set_neither_raises_nor_clears():
+def test_an_unassessed_set_neither_raises_nor_clears_the_alarm():
     sets = [*baseline(), *(a_set(LAST + 1 + k, shift=1.0) for k in range(2))]
     assert not after(sets)[0].alarm.active
     bad = a_set(LAST + 3, shift=1.0, quality="bad")
@@ -135,7 +135,7 @@ def test_the_alarm_follows_its_rule_and_an_unjudged_set_neither_raises_nor_clear
     assert after([*sets, bad, a_set(LAST + 4, shift=1.0)])[0].alarm.active
 
 
-def test_silent_sets_running_make_a_hole_and_a_gap_does_not_interrupt():
+def test_consecutive_silent_sets_are_a_hole_also_across_a_gap():
     silent = [a_set(k, flags=SILENT) for k in (0, 2)]
     gap = a_set(1, n_taken=0, n_tried=0, n_valid=0, flags=())
     assert not after(silent[:1])[0].hole.hole
@@ -151,12 +151,12 @@ def test_a_set_without_a_record_has_no_assessment_but_counts_as_poor():
 @pytest.mark.parametrize(
     ("n_valid", "n_tried", "poor"), [(2, 4, 2), (2, 3, 1), (3, 4, 0), (3, 3, 0)], ids=str
 )
-def test_poor_sets_run_unless_valid_shots_suffice_and_a_set_cut_short_says_nothing(n_valid, n_tried, poor):
+def test_consecutive_poor_sets_are_counted_and_an_incomplete_set_is_ignored(n_valid, n_tried, poor):
     state = State(poor_sets=1)
     assert states([a_set(5, n_valid=n_valid, n_tried=n_tried)], state=state)[-1][0].poor_sets == poor
 
 
-def test_a_person_s_word_forgets_what_retired_the_transducer_and_nothing_else():
+def test_a_command_resets_only_the_reason_of_the_disabled_transducer():
     state = after(
         [*baseline(), *(a_set(LAST + 1 + k, shift=1.0, flags=SILENT, n_valid=1) for k in range(3))]
     )[0]
@@ -167,7 +167,7 @@ def test_a_person_s_word_forgets_what_retired_the_transducer_and_nothing_else():
     assert (again.baseline, again.alarm) == (state.baseline, state.alarm)
 
 
-def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
+def test_a_restart_with_the_same_sets_has_the_same_state():
     sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.03 * k) for k in range(8))]
     live = states(sets)
     for cut in (0, 5, LAST, LAST + 1, len(sets) - 1):
@@ -201,7 +201,7 @@ def test_a_stored_assessment_is_used_without_a_new_computation():
     assert step(state, sets[-1], RULES)[1] == live[-1][1]
 
 
-def test_the_chart_alarms_on_a_change_that_lasts_and_ends_when_it_is_over():
+def test_the_chart_raises_an_alarm_during_a_persistent_change():
     changed = [a_set(LAST + 1 + k, shift=0.1) for k in range(15)]
     alarming = [state.memory.alarming for state, _ in states([*baseline(), *changed])[LAST + 1 :]]
     first = alarming.index(True)

@@ -72,7 +72,7 @@ def assessment_row(outlier):
         (ECHO_SET, None, [], "normal"),
     ],
 )
-def test_word_for_a_position(last_set, assessment, alarms, word):
+def test_a_position_has_the_expected_status(last_set, assessment, alarms, word):
     method = SET.method if last_set is None else last_set.method
     last = LastWord(
         position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms

@@ -35,7 +35,7 @@ def files(folder):
     return sorted(path.name for path in (folder / "sets").iterdir())
 
 
-def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
+def test_sets_get_their_files_and_leave_the_journal(archive, tmp_path):
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
         making.put(index)
@@ -81,7 +81,7 @@ def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
     assert (len(files(tmp_path)), making.waits) == (1, False)
 
 
-def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
+def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
     archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = SetFinalizer(tmp_path, archive, start=AtOnce)

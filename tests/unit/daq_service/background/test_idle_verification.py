@@ -72,7 +72,7 @@ class Idle:
         return self.check.damaged
 
 
-def test_one_file_after_the_other_is_read_and_then_again(tmp_path, stored):
+def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
     idle = Idle(tmp_path)
     assert idle.steps(7) == {}
     assert [f"sets/{name}" for name in idle.worker.files] == [*stored, *stored, stored[0]]
@@ -82,7 +82,7 @@ def test_one_file_after_the_other_is_read_and_then_again(tmp_path, stored):
     assert len(idle.worker.files) == 8, "none before its time"
 
 
-def test_nothing_is_read_before_a_set_is_due_or_while_one_wants_its_file(tmp_path, stored, monkeypatch):
+def test_no_file_is_verified_before_a_due_set_or_during_finalization(tmp_path, stored, monkeypatch):
     idle = Idle(tmp_path)
     idle.steps(3, free_s=QUIET_S)
     monkeypatch.setattr(SetFinalizer, "waits", True)
@@ -94,9 +94,7 @@ def test_nothing_is_read_before_a_set_is_due_or_while_one_wants_its_file(tmp_pat
 
 
 @pytest.mark.parametrize("trouble", [CatalogueBusyError("locked"), CatalogueDamagedError("page 3")])
-def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_test(
-    tmp_path, stored, trouble
-):
+def test_a_locked_catalogue_delays_the_check_but_not_the_test(tmp_path, stored, trouble):
     idle = Idle(tmp_path)
     idle.trouble = trouble
     assert idle.steps(3) == {}
@@ -120,7 +118,7 @@ def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     assert idle.noted == dict(zip(range(SET_INDEX + 1, SET_INDEX + 3), digests, strict=True))
 
 
-def test_damage_is_known_until_it_is_mended(tmp_path, stored):
+def test_corruption_is_reported_until_it_is_repaired(tmp_path, stored):
     idle, path = Idle(tmp_path), tmp_path / stored[1]
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
@@ -133,7 +131,7 @@ def test_damage_is_known_until_it_is_mended(tmp_path, stored):
     assert idle.steps(3) == {}
 
 
-def test_what_an_earlier_process_found_is_looked_at_first_and_stands_until_then(tmp_path, stored):
+def test_corrupt_files_of_an_earlier_process_are_checked_first(tmp_path, stored):
     idle = Idle(tmp_path)
     idle.check.begin({stored[2]: "damaged", "sets/gone_by_now.h5": "damaged"})
     assert idle.check.damaged == {stored[2]: "damaged"}
@@ -141,7 +139,7 @@ def test_what_an_earlier_process_found_is_looked_at_first_and_stands_until_then(
     assert idle.worker.files == [stored[2].removeprefix("sets/")]
 
 
-def test_a_worker_that_dies_is_no_damage(tmp_path, stored):
+def test_a_killed_worker_is_no_corruption(tmp_path, stored):
     class Dying(Executor):
         def submit(self, work, /, *arguments, **named):
             future = Future()
@@ -168,7 +166,7 @@ def alarms(line):
     return [(row.severity, row.state) for row in line.rows("alarms") if row.kind == "data_damaged"]
 
 
-def test_damage_is_an_alarm_at_the_start_and_clears_when_it_is_mended(tmp_path):
+def test_corruption_raises_an_alarm_that_clears_after_the_repair(tmp_path):
     line = Line(tmp_path)
     first = IdleCheckDouble({"sets/one.h5": "is missing"})
     line.run(idle_check=first)
@@ -194,7 +192,7 @@ def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, 
     assert min(check.free_s) <= 0.0
 
 
-def test_a_start_reads_few_files_of_an_older_folder_and_leaves_the_others_to_its_idle_hours():
+def test_a_start_reads_few_files_of_an_older_folder_and_the_others_in_idle_time():
     """The files of a year take hours, and a start sends no heartbeat while it reads."""
     catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []

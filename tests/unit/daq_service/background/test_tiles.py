@@ -83,7 +83,7 @@ def line(tmp_path):
     line.archive.close()
 
 
-def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
+def test_a_set_with_a_file_gets_tiles_without_free_time(line):
     line.file()
     assert line.kept() == list(line.files)
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
@@ -93,7 +93,7 @@ def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
         np.testing.assert_array_equal(tiles.row(0, SET_INDEX).planes, expected)
 
 
-def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
+def test_in_idle_time_older_sets_get_tiles_newest_first(line):
     line.file(room=False)
     line.work(free_s=QUIET_S)
     assert line.kept() == [], "a set is due soon"
@@ -106,7 +106,7 @@ def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
     assert line.kept() == list(line.files)
 
 
-def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
+def test_no_tile_is_made_while_set_files_are_pending(line):
     line.compaction.put(SET_INDEX)
     assert line.compaction.waits
     line.read.clear()
@@ -114,7 +114,7 @@ def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
     assert line.read == []
 
 
-def test_a_damaged_tile_is_made_again_in_the_next_round(line):
+def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     line.file()
     (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
     content = bytearray(path.read_bytes())
@@ -182,7 +182,7 @@ def test_rebuild_makes_the_tiles_of_an_older_folder(older):
                 np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
 
 
-def test_rebuild_goes_on_where_old_tiles_cannot_be_removed(older):
+def test_rebuild_continues_if_old_tiles_cannot_be_removed(older):
     (older.folder / TILES_FOLDER).write_bytes(b"no folder")
     lose_catalogue(older.folder)
     (warning,) = rebuild(older.folder, features_of=older.features_of).warnings

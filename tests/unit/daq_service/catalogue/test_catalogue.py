@@ -236,7 +236,7 @@ def test_an_empty_file_has_no_data_yet(tmp_path):
 
 
 @pytest.mark.parametrize("writer", [False, True])
-def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
+def test_a_file_that_is_no_database_is_corrupt(tmp_path, writer):
     (tmp_path / "catalogue.sqlite").write_bytes(b"not a database at all" * 100)
     with pytest.raises(CatalogueDamagedError, match=r"catalogue\.sqlite"):
         open_catalogue(tmp_path, writer=writer)
@@ -279,7 +279,7 @@ def test_a_network_folder_is_refused(tmp_path, monkeypatch):
         open_catalogue(tmp_path, writer=True)
 
 
-def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, writer):
+def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path, writer):
     other = Settings(plate={"thickness_m": 0.006})
     for look in (
         check_owner,
@@ -311,7 +311,7 @@ def test_the_experiment_is_made_once(tmp_path, writer):
     assert writer.experiment_row() == first
 
 
-def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
+def test_the_file_is_configured_to_survive_a_power_cut(tmp_path, writer):
     with writer.reading() as connection_:
         pragmas = {
             name: connection_.exec_driver_sql(f"PRAGMA {name}").scalar()
@@ -327,7 +327,7 @@ def test_a_reader_cannot_change_anything_but_commands(reader):
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
-def test_a_reader_goes_on_after_the_recorder_has_left(tmp_path):
+def test_a_reader_continues_after_the_end_of_the_recorder(tmp_path):
     with begin(tmp_path) as writer:
         writer.commit_set(commit_of(0))
     with open_catalogue(tmp_path) as reader:
@@ -362,7 +362,7 @@ def test_what_is_committed_is_read_back(writer, reader):
             assert replace(stored, id=None) == row if hasattr(row, "id") else stored == row
 
 
-def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
+def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     writer.commit_set(commit_of(0))
     before = reader.counts(), reader.last_event_id()
     bad = commit_of(1)
@@ -404,7 +404,7 @@ def test_rows_that_contradict_the_stored_ones_are_refused(writer, commit):
 
 
 @pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, np.float64(NAN), np.float32(math.inf)])
-def test_what_is_no_number_is_stored_as_not_available(tmp_path, writer, reader, value):
+def test_a_value_that_is_not_finite_is_stored_as_not_available(tmp_path, writer, reader, value):
     writer.commit_set(
         SetCommit(
             features=[feature_row(0, "B", None, tof_pp_s=value, psw_area_v_s=1.5)],
@@ -445,7 +445,7 @@ def as_plain(answer):
     return as_plain(asdict(answer)) if is_dataclass(answer) else answer
 
 
-def test_every_answer_is_ready_for_strict_json(writer, reader):
+def test_every_row_is_valid_strict_json(writer, reader):
     writer.commit_set(commit_of(0, "ABC"))
     writer.commit_set(
         SetCommit(
@@ -538,13 +538,13 @@ def test_event_ids_follow_the_order_of_the_rows(writer, reader):
     assert reader.last_event_id() == second
 
 
-def test_an_event_is_dated_when_it_is_written_unless_it_says_otherwise(writer, reader, monkeypatch):
+def test_an_event_has_the_time_of_writing_unless_given(writer, reader, monkeypatch):
     monkeypatch.setattr("daq_service.catalogue.writer.time.time_ns", lambda: 77)
     writer.commit_set(SetCommit(events=[event_row(), event_row(wall_utc_ns=5)]))
     assert [row.wall_utc_ns for row in reader.events_after(0)] == [77, 5]
 
 
-def test_events_can_be_asked_for_by_topic_and_page(writer, reader):
+def test_events_are_filtered_by_topic_and_paged(writer, reader):
     writer.commit_set(
         SetCommit(
             events=[event_row(topic=topic) for topic in ("sets", "alarms", "sets", "service", "alarms")]
@@ -607,7 +607,7 @@ def test_alarms_are_listed_by_position_and_state(writer, reader):
     assert reader.alarm(99) is None
 
 
-def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
+def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader):
     command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
     (pending,) = writer.open_commands()
     assert (pending.id, pending.author, pending.arguments) == (
@@ -623,7 +623,7 @@ def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
     assert reader.command(99) is None
 
 
-def test_a_command_is_answered_once_and_in_words_of_the_contract(writer, reader):
+def test_a_command_has_one_result_with_a_known_state(writer, reader):
     command_id = reader.add_command("operator", "stop", {})
     with pytest.raises(CatalogueConflictError, match="done, refused, expired, failed"):
         writer.finish_command(command_id, "finished")
@@ -663,7 +663,7 @@ def test_sets_are_filtered_and_paged(filled):
     assert [row.set_index for row in filled.rows(SetRow, position="B", first_h=2.0, last_h=3.5)] == [2, 3]
 
 
-def test_features_are_asked_for_by_hours_inclusive(filled):
+def test_features_are_filtered_by_hours_inclusive(filled):
     assert [
         row.set_index for row in filled.rows(FeatureRow, position="C", first_h=2.0, last_h=4.0, scope="set")
     ] == [2, 3, 4]
@@ -693,7 +693,7 @@ def environment_row(index, **changes):
     return EnvironmentRow(**row | changes)
 
 
-def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, reader):
+def test_environment_rows_are_filtered_by_hours_and_paged(writer, reader):
     assert (reader.rows(EnvironmentRow), reader.last_environment()) == ([], None)
     for index in range(4):
         writer.commit_set(SetCommit(environment=[environment_row(index)]))
@@ -710,7 +710,7 @@ def event_commit(kind, **payload):
     return SetCommit(events=[event_row(kind, "service", payload=payload)])
 
 
-def test_a_hold_stands_until_its_release(writer, reader):
+def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
     assert reader.held() is None
     assert reader.last_service_event("hold", "release") is None
     for commit, held in (
@@ -748,7 +748,7 @@ def test_an_unknown_column_is_refused_by_name(filled):
         filled.columns(FeatureRow, ["tof"], position="B", scope="set")
 
 
-def test_the_state_of_a_position_is_its_last_word(writer, filled):
+def test_the_state_of_a_position_has_its_latest_rows(writer, filled):
     writer.commit_set(
         SetCommit(
             sets=[set_row(6, "B", "missed", 0)],
@@ -793,7 +793,7 @@ def test_an_empty_catalogue_counts_nothing(reader):
     assert reader.positions_state() == {}
 
 
-def test_the_newest_baseline_counts_and_none_is_forgotten(writer, reader):
+def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
     assert reader.baseline("B") is None
     writer.commit_set(
         SetCommit(baselines=[baseline_row("B-1"), baseline_row("C-1", "C"), baseline_row("B-2")])
@@ -822,7 +822,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
     assert len(reader.rows(FeatureRow, position="B", scope="set")) == 1
 
 
-def test_an_unfinished_commit_neither_blocks_nor_shows(writer, reader):
+def test_an_unfinished_commit_neither_blocks_nor_is_visible(writer, reader):
     with writer._writing("test") as connection_:
         from sqlalchemy import insert
 
@@ -843,7 +843,7 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
     assert reader.counts()["sets"] == 8
 
 
-def test_a_writer_that_waits_too_long_says_so(tmp_path, monkeypatch, writer):
+def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, writer):
     monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
@@ -872,7 +872,7 @@ def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, mo
     assert waits == [10, 0, 0, 0, 0, 10]
 
 
-def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
+def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
     writer.commit_set(commit_of(0))
     with writer.reading() as connection_:
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()

@@ -9,7 +9,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.verification import CatalogueLook
 
 
-def test_a_recorder_that_starts_while_rows_are_read_is_no_damage(tmp_path):
+def test_a_recorder_start_during_a_read_is_no_corruption(tmp_path):
     new_catalogue(tmp_path).close()
     with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
 

@@ -186,7 +186,7 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     }
 
 
-def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was(tmp_path):
+def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
     path = tmp_path / "catalogue.sqlite"
     before = make_first_catalogue(path)
     schema = schema_of(path)
@@ -207,7 +207,7 @@ def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was
 
 
 @pytest.mark.parametrize("statement", [1, 5, 10, 14])
-def test_a_migration_that_is_cut_short_leaves_nothing(tmp_path, statement):
+def test_an_interrupted_migration_leaves_no_tables(tmp_path, statement):
     engine = connection.make_engine(tmp_path / "catalogue.sqlite", writable=True)
     seen = 0
 
@@ -227,7 +227,7 @@ def test_a_migration_that_is_cut_short_leaves_nothing(tmp_path, statement):
 
 
 @pytest.mark.parametrize("writer", [False, True])
-def test_a_catalogue_of_a_newer_version_is_refused_and_left_alone(tmp_path, writer):
+def test_a_catalogue_of_a_newer_version_is_rejected_and_unchanged(tmp_path, writer):
     open_catalogue(tmp_path, writer=True).close()
     path = tmp_path / "catalogue.sqlite"
     database = sqlite3.connect(path)

@@ -32,9 +32,7 @@ def set_row(position, **columns):
     return SetRow(set_index=0, position=position, method="pulse_echo", **columns)
 
 
-def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_file(
-    catalogue, follower, tmp_path
-):
+def test_the_history_holds_experiment_events_command_states_and_files(catalogue, follower, tmp_path):
     tell(catalogue, "one", "two")
     order = catalogue.add_command("Ada", "hold", {})
     follower.follow()
@@ -72,7 +70,7 @@ def test_where_sets_have_no_journal_their_digests_come_with_their_rows(catalogue
     assert read_history(tmp_path).digests == files
 
 
-def test_a_digest_whose_line_a_crash_kept_back_comes_with_the_next_start(catalogue, follower, tmp_path):
+def test_a_digest_missing_after_a_crash_is_written_at_the_next_start(catalogue, follower, tmp_path):
     files = {stored(catalogue, index): f"{index}" * 64 for index in range(3)}
     follower.follow()
     for index, (file, sha256) in enumerate(files.items()):
@@ -104,7 +102,7 @@ def test_a_start_reads_only_the_end_of_a_long_history(catalogue, follower, tmp_p
     assert [first for kind, first in asked if kind is SetRow] == [18]
 
 
-def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_path, monkeypatch):
+def test_a_folder_without_a_history_is_followed_in_blocks(catalogue, tmp_path, monkeypatch):
     files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(7)}
     monkeypatch.setattr(history, "EVENTS_AT_ONCE", 3)
     follower = HistoryFollower(tmp_path, catalogue)
@@ -115,7 +113,7 @@ def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_pa
     assert (len(follower._known.events), len(follower._known.digests)) == (1, 1), "memory stays flat"
 
 
-def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, follower, tmp_path):
+def test_a_new_follower_appends_missing_lines_once(catalogue, follower, tmp_path):
     tell(catalogue, "one")
     follower.follow()
     tell(catalogue, "two")
@@ -126,7 +124,7 @@ def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, fol
     assert history.last_number == 3
 
 
-def test_at_most_once_a_second(catalogue, tmp_path):
+def test_the_history_is_written_at_most_once_per_second(catalogue, tmp_path):
     now = [0.0]
     follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
     follower.begin()
@@ -139,7 +137,7 @@ def test_at_most_once_a_second(catalogue, tmp_path):
     assert len(read_history(tmp_path).events) == 1
 
 
-def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_path):
+def test_a_torn_last_line_is_removed_and_no_corruption(catalogue, follower, tmp_path):
     tell(catalogue, "one", "two")
     follower.follow()
     path = tmp_path / HISTORY_FILE
@@ -173,7 +171,7 @@ def test_a_corrupt_or_missing_line_is_reported_and_the_others_are_read(
     assert len(history.damage) == 1
 
 
-def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tmp_path, monkeypatch, caplog):
+def test_a_write_error_only_delays_the_history(catalogue, follower, tmp_path, monkeypatch, caplog):
     tell(catalogue, "one")
     written = os.write
 
@@ -212,7 +210,7 @@ def test_a_history_of_another_experiment_is_refused_with_both(catalogue, followe
         HistoryFollower(tmp_path, catalogue).begin()
 
 
-def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypatch):
+def test_the_end_of_a_long_history_is_sufficient(catalogue, follower, tmp_path, monkeypatch):
     tell(catalogue, *("told" for _ in range(50)))
     follower.follow()
     monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
@@ -231,7 +229,7 @@ def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypa
     ],
     ids=["with a hole", "changed", "without an end"],
 )
-def test_only_a_last_line_that_was_being_written_is_no_damage(last, is_damage):
+def test_only_an_incomplete_last_line_is_no_corruption(last, is_damage):
     first = line_of(1, "files", {"file": "a", "file_sha256": "b"})
     assert bool(parsed(first + last).damage) is is_damage
     assert parsed(first + last + line_of(3, "files", {"file": "c", "file_sha256": "d"})).damage

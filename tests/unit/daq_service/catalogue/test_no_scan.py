@@ -105,7 +105,7 @@ ASKED = [
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, seed):
+def test_pages_by_index_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         for kind, filters in ASKED:
             expected = plainly(catalogue.rows(kind), filters)
@@ -119,7 +119,7 @@ def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, se
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, seed):
+def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         counts, rows = catalogue.counts(), catalogue.rows(SetRow)
         with catalogue.reading() as connection:
@@ -164,7 +164,7 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         assert sorted(gaps, key=repr) == sorted(newest, key=repr)
 
 
-def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
+def test_no_frequent_query_reads_every_row(tmp_path):
     with random_catalogue(tmp_path, 0), open_catalogue(tmp_path, writer=True) as catalogue:
         plans = []
 

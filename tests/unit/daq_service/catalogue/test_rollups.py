@@ -85,7 +85,7 @@ def alarm(index):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_bins_say_what_all_rows_say(tmp_path, seed):
+def test_bins_equal_those_from_all_rows(tmp_path, seed):
     chance = random.Random(seed)
     catalogue, rows_by_set = random_sets(tmp_path, seed)
     with catalogue:
@@ -135,7 +135,7 @@ def compare(rows, found):
         assert found["sum"][column] == pytest.approx(sum(values), rel=1e-13)
 
 
-def test_fits_are_those_of_all_rows(tmp_path):
+def test_fits_equal_those_from_all_rows(tmp_path):
     catalogue, rows_by_set = random_sets(tmp_path, 5)
     chance = random.Random(5)
     with catalogue:
@@ -180,7 +180,7 @@ def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_p
             assert list(trend_differences(connection)) == []
 
 
-def test_a_damaged_row_keeps_no_set_from_being_stored(tmp_path, caplog):
+def test_a_corrupt_row_does_not_prevent_the_storage_of_a_set(tmp_path, caplog):
     with new_catalogue(tmp_path) as catalogue:
         for index in range(3):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))

@@ -43,7 +43,7 @@ def change(folder, statement):
         database.commit()
 
 
-def test_what_sql_makes_of_a_value_is_no_damage(folder):
+def test_a_value_converted_by_sql_is_no_corruption(folder):
     assert list(catalogue_corruption(folder)) == []
     with open_catalogue(folder) as catalogue:
         (feature,) = catalogue.rows(FeatureRow)
@@ -77,7 +77,7 @@ def test_a_changed_value_is_reported_and_never_read(folder, kind, statement, row
         open_catalogue(folder, writer=True)
 
 
-def test_one_damaged_row_hides_no_other(folder):
+def test_one_corrupt_row_hides_no_other(folder):
     with open_catalogue(folder, writer=True) as catalogue:
         for number in range(4):
             catalogue.add_event(utc_ns=number, topic="service", kind="told", payload={})
@@ -95,7 +95,7 @@ def test_columns_are_compared_too(folder):
         catalogue.columns(FeatureRow, ["tof_ac_s"])
 
 
-def test_a_column_that_comes_later_and_is_empty_changes_no_checksum():
+def test_a_new_empty_column_changes_no_checksum():
     assert row_crc32(replace(SET, id=1)) == row_crc32(replace(SET, id=1, cause=None, file_sha256=None))
     assert row_crc32(replace(SET, id=1)) != row_crc32(replace(SET, id=2))
 

@@ -75,12 +75,12 @@ def test_features_are_the_columns_of_a_feature_row():
     assert tuple(names[-len(ALL_FEATURE_NAMES) :]) == ALL_FEATURE_NAMES
 
 
-def test_every_answered_row_is_one_of_the_catalogue():
+def test_every_response_row_is_one_of_the_catalogue():
     assert {name for name in vars(models) if name.endswith("Row")} == {kind.__name__ for kind in ANSWERED}
 
 
 @pytest.mark.parametrize("kind", ANSWERED)
-def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
+def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     row = example(kind)
     answer = with_utc(rows.values(row), 0)
     if {"due_h", "raised_h"} & answer.keys():

@@ -159,7 +159,7 @@ def real(tmp_path):
     filled.close()
 
 
-def test_a_test_that_runs_is_certified_as_it_stands(real, monkeypatch):
+def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     third_h = real.due[2].due_utc_ns
     monkeypatch.setattr(
         "daq_service.cli.maintenance.acceptance.evidence.time_now_ns", lambda beat: third_h + 60 * 10**9
@@ -192,7 +192,7 @@ def test_a_test_that_was_stopped_lacks_nothing_after_its_end(real):
     assert (found["sets_due"], found["sets_missed"], found["unplanned_ends"]) == (3, 0, 0)
 
 
-def test_a_restart_after_a_kill_is_an_end_without_a_word_and_one_after_a_stop_is_not(real):
+def test_only_a_restart_after_a_kill_counts_as_an_unexpected_end(real):
     real.say("recorder_started", before="the recorder was killed")
     real.say("recorder_stopped")
     real.say("recorder_started", before="the recorder had been stopped")
@@ -204,7 +204,7 @@ def test_a_restart_after_a_kill_is_an_end_without_a_word_and_one_after_a_stop_is
     ]
 
 
-def test_a_recorder_that_fell_over_in_a_set_leaves_its_trace(tmp_path):
+def test_a_recorder_crash_during_a_set_is_counted(tmp_path):
     fell = []
 
     def falls_over(key):
@@ -313,7 +313,7 @@ def test_the_interval_of_a_slope_holds_it_in_noise_and_the_first_sets_count_for_
     assert 0.5 * (found.high - found.low) < 0.1 * 3e6
 
 
-def test_few_readings_decide_nothing_and_none_are_not_kept(evidence):
+def test_few_readings_give_no_result(evidence):
     few = grown(evidence, [10**8] * 20)
     assert few.value is None
     assert f"{FEWEST_READINGS} are the fewest" in few.missing
@@ -501,13 +501,13 @@ def test_corruption_found_by_verify_fails_the_report(tmp_path):
     assert any(victim.name in note for note in report["notes"])
 
 
-def test_looking_changes_nothing_in_the_folder(recorded, tmp_path):
+def test_the_report_changes_nothing_in_the_folder(recorded, tmp_path):
     before = state_of(recorded)
     certify("--data-dir", recorded, "--json", tmp_path / "c.json", "--verify")
     assert state_of(recorded) == before
 
 
-def test_an_older_folder_is_certified_as_far_as_it_goes_and_stays_as_it_is(tmp_path):
+def test_an_older_folder_is_reported_as_far_as_possible_and_unchanged(tmp_path):
     with tarfile.open(FOLDERS / "c3c2e28.tar.xz") as archive:
         archive.extractall(tmp_path, filter="data")
     before = state_of(tmp_path)

@@ -184,7 +184,7 @@ def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder
 
 
 @pytest.mark.parametrize("place", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"])
-def test_what_cannot_be_meant_is_refused_with_code_2(folder, tmp_path, place):
+def test_an_invalid_export_is_rejected_with_code_2(folder, tmp_path, place):
     (tmp_path / "empty").mkdir()
     source, target = folder, folder / place
     if place in ("nowhere", "empty"):
@@ -287,7 +287,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
         (("--waveforms", "B", "--from-h", 900, "--out", "a.h5"), "no record of position B"),
     ],
 )
-def test_an_export_that_cannot_be_is_refused_before_anything_is_written(
+def test_an_impossible_export_is_rejected_before_any_file_is_written(
     words, message, running, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -297,7 +297,7 @@ def test_an_export_that_cannot_be_is_refused_before_anything_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_table_is_whole_or_not_there(running, tmp_path, monkeypatch):
+def test_a_table_is_complete_or_absent(running, tmp_path, monkeypatch):
     target = tmp_path / "a.csv"
     target.write_text("older")
     assert solimon("export", "--data-dir", running, "--table", "sets", "--out", target)[0] == 2

@@ -66,7 +66,7 @@ def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["check-config", "run", "record", "doctor", "serve", "status"])
-def test_no_command_takes_a_rig_that_is_not_finished(command: str, tmp_path: Path) -> None:
+def test_no_command_accepts_a_rig_with_placeholders(command: str, tmp_path: Path) -> None:
     written("rig", tmp_path / "lab.toml")
     data = tmp_path / "data"
     error = CliRunner().invoke(cli, [command, str(tmp_path / "lab.toml"), "--data-dir", str(data)]).exception
@@ -113,7 +113,7 @@ def test_a_recording_of_labview_has_its_names_written_down(tmp_path: Path) -> No
     assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
 
 
-def test_nothing_is_written_over(tmp_path: Path) -> None:
+def test_no_file_is_overwritten(tmp_path: Path) -> None:
     file, schema = tmp_path / "twin.toml", tmp_path / "settings.schema.json"
     file.write_text("mine")
     assert "is not written over" in refusal("twin", file)
@@ -141,7 +141,7 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
         (["rig", "--with", "rig.climat"], "did you mean rig.climate?"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_written(
+def test_an_impossible_request_is_rejected_before_the_file_is_written(
     arguments: list[str], words: str, tmp_path: Path
 ) -> None:
     kind, *options = arguments

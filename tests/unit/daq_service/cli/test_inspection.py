@@ -24,7 +24,7 @@ NEEDS = "it needs at least 15, 200 and more are advised"
         ),
     ],
 )
-def test_a_baseline_that_could_judge_nothing_is_warned_of(
+def test_a_baseline_without_possible_assessments_causes_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, n_sets: int, warning: str
 ) -> None:
     (tmp_path / "test.toml").write_text(text, encoding="utf-8")

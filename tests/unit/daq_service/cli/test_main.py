@@ -47,7 +47,7 @@ def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_p
     [CatalogueBusyError("locked"), CatalogueWriteError("full"), ArchiveWriteError("read-only")],
     ids=str,
 )
-def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_tried_again(
+def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
     monkeypatch, tmp_path, error, command
 ):
     def fail(*_args, **_options):
@@ -92,7 +92,7 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
         ("renew-baseline --position B", "Why is the baseline retired"),
     ],
 )
-def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
+def test_at_a_terminal_a_command_asks_for_its_reason(
     monkeypatch: pytest.MonkeyPatch, words: str, asked: str
 ) -> None:
     given: list[str] = []
@@ -116,7 +116,7 @@ def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path
     assert "--reason 'the sensor was coupled anew'" in done.stderr
 
 
-def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:
+def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
     done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr

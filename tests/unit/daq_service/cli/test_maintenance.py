@@ -84,7 +84,7 @@ def hit_a_record(folder, index):
 # verify --------------------------------------------------------------------------------------------
 
 
-def test_a_whole_folder_is_clean_and_nothing_in_it_is_touched(folder):
+def test_an_intact_folder_passes_and_is_unchanged(folder):
     before = state_of(folder)
     code, answer = solimon("verify", "--data-dir", folder)
     assert (code, answer["ok"], answer["damage"]) == (0, True, [])
@@ -92,7 +92,7 @@ def test_a_whole_folder_is_clean_and_nothing_in_it_is_touched(folder):
     assert state_of(folder) == before
 
 
-def test_each_damage_is_named_with_exit_code_4(folder):
+def test_each_corruption_is_reported_with_exit_code_4(folder):
     shot_id = hit_a_record(folder, 0)
     (folder / FILES[1]).write_bytes(b"")
     (folder / FILES[2]).unlink()
@@ -160,7 +160,7 @@ def test_another_version_of_the_extractor_may_say_something_else(folder):
     assert not any("in the file" in item.told for item in verify_folder(folder).damage)
 
 
-def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder):
+def test_missing_rows_before_later_ones_are_reported(folder):
     for table in ("features", "verdicts", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
@@ -271,7 +271,7 @@ def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behin
     assert found == damage
 
 
-def test_files_that_are_not_ours_are_noted_and_no_damage(folder):
+def test_foreign_files_are_listed_and_no_corruption(folder):
     (folder / "sets" / "notes.txt").write_text("wet")
     (folder / "sets" / "half.tmp").write_text("half")
     (folder / "quarantine").mkdir()
@@ -293,7 +293,7 @@ def test_a_lost_or_foreign_catalogue_is_named_and_the_files_are_checked_all_the_
     assert {item.kind for item in verify_folder(folder).damage} == {"catalogue", "set_unreadable"}
 
 
-def test_a_folder_without_a_test_is_no_clean_one(tmp_path):
+def test_a_folder_without_a_test_does_not_pass(tmp_path):
     for place in (tmp_path, tmp_path / "gone"):
         code, answer = solimon("verify", "--data-dir", place)
         assert (code, "holds no test" in answer) == (4, True)
@@ -400,7 +400,7 @@ def test_neither_readers_nor_the_web_service_load_compiler_plots_or_drivers(fold
 # repair --------------------------------------------------------------------------------------------
 
 
-def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(folder, tmp_path):
+def test_repair_lists_steps_and_restores_a_lost_set_only_from_a_matching_backup(folder, tmp_path):
     copy = tmp_path / "copy"
     back_up(folder, copy)
     contents = {index: (folder / file).read_bytes() for index, file in FILES.items()}
@@ -419,7 +419,7 @@ def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(f
     assert not (folder / "sets" / "half.tmp").exists()
 
 
-def test_repair_without_another_copy_leaves_what_can_be_read(folder, tmp_path):
+def test_repair_without_a_backup_keeps_readable_data(folder, tmp_path):
     hit_a_record(folder, 0)
     (folder / FILES[1]).unlink()
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
@@ -526,7 +526,7 @@ def test_an_interrupted_backup_leaves_the_one_before_and_goes_on(folder, tmp_pat
     assert rows_of(copy) == rows_of(folder)
 
 
-def test_what_does_not_read_back_as_it_was_written_is_not_kept(folder, tmp_path, monkeypatch):
+def test_a_copy_that_reads_back_different_is_removed(folder, tmp_path, monkeypatch):
     real = backup.write_durably
 
     def changed(path, content, *, temporary):
@@ -538,7 +538,7 @@ def test_what_does_not_read_back_as_it_was_written_is_not_kept(folder, tmp_path,
     assert list((tmp_path / "copy").rglob("*.h5")) == []
 
 
-def test_a_damaged_file_never_replaces_a_good_copy_and_lies_in_the_quarantine_of_a_new_one(folder, tmp_path):
+def test_a_corrupt_file_never_replaces_a_good_copy_and_is_quarantined_in_a_new_backup(folder, tmp_path):
     good, new = tmp_path / "good", tmp_path / "new"
     back_up(folder, good)
     hit_a_record(folder, 0)
@@ -615,7 +615,7 @@ def test_status_and_web_service_report_a_lost_catalogue(folder, left):
         assert api.get("/readyz").status_code == 200
 
 
-def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(folder):
+def test_status_checks_the_newest_sets_and_all_after_a_removal(folder):
     first, *_, newest = FILES.values()
     with open_catalogue(folder) as catalogue:
         n_positions = len(catalogue.positions_state())
@@ -635,7 +635,7 @@ def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(fol
 
 
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
-def test_a_folder_of_an_earlier_version_is_looked_at_and_copied_as_it_is(tmp_path, commit):
+def test_a_folder_of_an_earlier_version_is_verified_and_copied_unchanged(tmp_path, commit):
     folder = tmp_path / "data"
     with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
         archive.extractall(folder, filter="data")
@@ -656,7 +656,7 @@ def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder
         assert client.get("/api/v1/info").json()["schedule"]["shots_per_set"] == 3
 
 
-def test_a_person_reads_what_was_checked_and_each_damage_on_a_line(folder):
+def test_the_text_output_lists_checks_and_one_corruption_per_line(folder):
     (folder / FILES[1]).unlink()
     completed = solimon_here("verify", "--data-dir", str(folder), env={})
     lines = completed.stdout.splitlines()

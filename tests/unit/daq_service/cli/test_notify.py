@@ -40,14 +40,14 @@ def test_a_test_message_is_sent_and_its_result_reported(config, receiver, capsys
     assert result == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
 
 
-def test_a_receiver_that_there_is_not_is_refused(config):
+def test_an_unknown_receiver_is_rejected(config):
     with pytest.raises(UsageError, match="no receiver 'night' is configured; there are: duty"):
         run_test(config=config, receiver="night", as_json=False)
     with pytest.raises(UsageError, match="no receivers are configured; there are: none"):
         run_test(config=None, receiver=None, as_json=False)
 
 
-def test_a_configuration_is_checked_without_telling_secrets(config, receiver, tmp_path, capsys):
+def test_a_configuration_check_exposes_no_secrets(config, receiver, tmp_path, capsys):
     print_configuration(config=config, data_dir=tmp_path, schema=False, as_json=False)
     printed = capsys.readouterr()
     assert f"receiver   duty: webhook, {receiver.url.removesuffix('/hook')}\n" in printed.out

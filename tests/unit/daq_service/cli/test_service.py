@@ -102,7 +102,7 @@ def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) 
     assert int(recorder["TimeoutStopSec"]) > deadline_s
 
 
-def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
+def test_a_process_is_restarted_according_to_its_exit_code(config: Path) -> None:
     for parsed in units(config).values():
         service = parsed["Service"]
         assert service["Restart"] == "always"
@@ -122,7 +122,7 @@ def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
     assert list(units(config)) == ["record", "serve"]
 
 
-def test_devices_are_left_to_those_who_use_them(config: Path) -> None:
+def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None:
     made = units(config)
     assert made["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
     assert made["serve"]["Service"]["Type"] == "notify"
@@ -131,7 +131,7 @@ def test_devices_are_left_to_those_who_use_them(config: Path) -> None:
 
 
 @pytest.mark.parametrize("manager", ["systemd", "windows"])
-def test_the_command_lines_are_ours(manager: str, config: Path) -> None:
+def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> None:
     files = written(config, manager)["files"]
     if manager == "systemd":
         lines = [unit(file)["Service"]["ExecStart"].replace("%%", "%").replace("$$", "$") for file in files]

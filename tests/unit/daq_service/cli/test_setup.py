@@ -60,13 +60,13 @@ def asked_aside(dialogue, question, understood=str):
 # Questions -------------------------------------------------------------------------------------------
 
 
-def test_an_answer_is_asked_for_until_it_is_understood(monkeypatch, capsys):
+def test_a_question_is_repeated_until_the_answer_is_valid(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("high\n0.01\n"))
     assert Dialogue().ask(HEIGHT, float) == 0.01
     assert "could not convert string to float: 'high'" in capsys.readouterr().err
 
 
-def test_no_answer_is_the_default_and_the_default_strikes_nothing(monkeypatch):
+def test_an_empty_answer_is_the_default_which_strikes_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\nyes\nst\nstrike\n"))
     dialogue = Dialogue()
     assert dialogue.ask(LEAVE, str) == "go on"
@@ -118,7 +118,7 @@ class Typed(io.StringIO):
         return True
 
 
-def test_what_was_typed_ahead_strikes_nothing(monkeypatch):
+def test_input_typed_ahead_strikes_nothing(monkeypatch):
     typed = Typed("0.004\nstrike\n")
     monkeypatch.setattr("sys.stdin", typed)
     dialogue = Dialogue()
@@ -154,7 +154,7 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
         assert api.get("/api/strike").json() == {"strike": None, "shot": None}
 
 
-def test_a_page_that_is_open_hears_that_all_is_done():
+def test_an_open_page_is_notified_of_the_end():
     with served_page(Dialogue(), bench(), 0) as address:
         assert not httpx.get(f"{address}api/state").json()["done"]
         heard = queue.Queue()

@@ -44,7 +44,7 @@ def instruments(file):
     return {item.name: item.parameters for item in configured(load_settings(file))}
 
 
-def test_a_person_is_led_to_a_file_that_no_hand_edited(file, script):
+def test_the_dialogue_writes_a_complete_file(file, script):
     answers = "B\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
     ended = set_up(file, *SCOPE_AND_HAMMER, answers=answers)
     assert ended.exit_code == 0, ended.output

@@ -136,7 +136,7 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
     )
 
 
-def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
+def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
     filled.add_alarm("B", N_BASELINE, message="3 of the last 5 sets")
     filled.add_alarm("C", SETS - 1, kind="hole", severity="critical", state="acknowledged", message="a hole")
     lines = status_of(filled)
@@ -320,7 +320,7 @@ def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
     assert lines == ["data      here", "recorder  never started here", "          no data yet"]
 
 
-def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
+def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, judged=False)
     row = line_of(status_of(filled), " D")

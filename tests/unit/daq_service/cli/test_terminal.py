@@ -38,7 +38,7 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
     return captured.err.splitlines()
 
 
-def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.report:
         for done, pause_s in enumerate((0.0, 1800.0, 1800.0, 1.0, 1.0, 60.0), start=1):
@@ -49,7 +49,7 @@ def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureF
     ]
 
 
-def test_what_a_person_shall_do_is_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_requested_action_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     asked = {"text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0}
     with log.report:
@@ -108,7 +108,7 @@ def test_a_long_preparation_is_printed_with_its_duration(capsys: pytest.CaptureF
     assert lines(capsys) == ["compiling the loops: took 40 s", "building the plates: took 41 s"]
 
 
-def test_the_line_that_is_rewritten_says_what_takes_long(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_progress_line_names_the_long_step(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     text = log.report._text
     log.after(1.0, "beat", doing="opening the rig", process=1)
@@ -145,7 +145,7 @@ class GoneTerminal(io.StringIO):
         raise OSError(5, "Input/output error")
 
 
-def test_a_terminal_that_is_gone_ends_no_test(
+def test_a_closed_terminal_ends_no_test(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(sys, "stderr", GoneTerminal())
@@ -210,7 +210,9 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"SSH_TTY": "/dev/pts/1"}, "darwin", "SSH"),
     ],
 )
-def test_a_page_is_opened_where_somebody_sits(environment: dict[str, str], platform: str, why: str) -> None:
+def test_a_page_is_opened_for_an_interactive_user(
+    environment: dict[str, str], platform: str, why: str
+) -> None:
     assert why_no_screen(environment, platform) == why
 
 

@@ -78,7 +78,7 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
         (("revoke", "ben"), "there is no token 'ben' to revoke; there are: ann"),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, message):
+def test_an_impossible_command_is_rejected_and_changes_nothing(token, tmp_path, words, message):
     create_token(tmp_path / "tokens.json", "ann", "viewer")
     before = (tmp_path / "tokens.json").read_bytes()
     code, out, err = token(*words)
@@ -128,7 +128,7 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
         ("{tls_swapped}", "valid", ["cannot be used", "give readable PEM files"]),
     ],
 )
-def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
+def test_a_service_for_other_hosts_needs_tokens_and_encryption(
     tmp_path, monkeypatch, command, web, tokens, expected
 ):
     def started(*arguments, **options):

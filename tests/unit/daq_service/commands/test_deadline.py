@@ -31,7 +31,7 @@ ORDER = CommandRow(
         (None, 0, 60, 0.0),
     ],
 )
-def test_it_stands_until_its_deadline_in_this_boot(
+def test_a_command_is_pending_until_its_deadline_in_this_boot(
     boot: str | None, boot_s: int, utc_s: int, left: float
 ) -> None:
     found = left_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
@@ -44,5 +44,5 @@ def test_a_started_command_does_not_expire() -> None:
     assert as_it_stands(started, 0.0) is started
 
 
-def test_an_order_of_an_older_version_has_no_time_left() -> None:
+def test_a_command_of_an_older_version_has_expired() -> None:
     assert left_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0

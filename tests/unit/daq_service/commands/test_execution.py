@@ -149,7 +149,7 @@ def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
     ]
 
 
-def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Bench) -> None:
+def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(bench: Bench) -> None:
     proposed = frozen_baseline("B", state="proposed", approval="by_a_person", id=2)
     bench.catalogue.commit_set(SetCommit(baselines=[proposed]))
     assert bench.obey("approve_baseline", position="B") == ("done", "B-baseline-1 is approved")
@@ -189,7 +189,7 @@ def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Benc
     ]
 
 
-def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_who_retired_it(
+def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
     bench: Bench,
 ) -> None:
     """The condition has not returned to normal: the reference of the assessment is retired."""
@@ -218,7 +218,7 @@ def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
     assert bench.stop.is_set()
 
 
-def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
+def test_a_command_without_a_stored_result_is_executed_once(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The interlock may have tripped meanwhile: a repetition would switch the supply on again."""
@@ -240,7 +240,7 @@ def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
     assert [what for what, *_ in bench.switch.done] == ["on"]
 
 
-def test_what_an_order_stores_is_stored_with_its_answer(
+def test_the_rows_of_a_command_are_stored_with_its_result(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is killed after the command has stored its result."""
@@ -259,7 +259,7 @@ def test_what_an_order_stores_is_stored_with_its_answer(
     assert bench.listener.held == "held by ann: door open"
 
 
-def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench) -> None:
+def test_a_command_past_its_deadline_expires_and_is_not_executed(bench: Bench) -> None:
     bench.left_s = 0.0
     state, words = bench.obey("supply_on")
     assert (state, words.split(":")[0]) == ("expired", "not carried out, and nobody will")
@@ -267,9 +267,7 @@ def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench)
     assert bench.switch.done == []
 
 
-def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_marked_after_its_deadline_expires(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that read it as pending at its deadline got the result that it is not executed."""
     start = bench.catalogue.start_command
 
@@ -284,7 +282,7 @@ def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
 
 
 @pytest.mark.parametrize("begin", [True, False], ids=["at the start", "at the first look"])
-def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
+def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(
     bench: Bench, begin: bool
 ) -> None:
     started, waiting = bench.write("supply_on"), bench.write("release")
@@ -307,7 +305,7 @@ def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
     assert bench.obey("supply_on") == ("done", "the supply is on")
 
 
-def test_an_order_is_marked_before_it_is_carried_out(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_is_marked_before_its_execution(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[str] = []
     assert bench.switch is not None
     supply_on = bench.switch.supply_on
@@ -321,7 +319,7 @@ def test_an_order_is_marked_before_it_is_carried_out(bench: Bench, monkeypatch: 
     assert found == ["started"]
 
 
-def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
+def test_without_a_mark_only_repeatable_commands_are_executed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(order_id: int) -> None:
@@ -337,7 +335,7 @@ def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
     assert [what for what, *_ in bench.switch.done] == ["off"]
 
 
-def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
+def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
     order_id = bench.write("hold", note="why")
     bench.listener.close("the recorder has ended")
     state, words = bench.answer(order_id)
@@ -363,7 +361,7 @@ def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> N
     assert bench.ledger.retired().keys() == {"C"}, "a shelf strikes nobody's transducer"
 
 
-def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
+def test_a_pause_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     done = "on hold: nothing strikes until the test is released; sets that fall due are missed"
     assert bench.obey("hold", note="door open") == ("done", done)
     assert bench.listener.held == "held by ann: door open"
@@ -378,7 +376,7 @@ def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     assert bench.obey("release") == ("refused", "the test is not on hold")
 
 
-def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench: Bench) -> None:
+def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
     orders = [
         *(bench.write("hold", note="why") for _ in range(2)),
         *(bench.write("release") for _ in range(2)),
@@ -388,7 +386,7 @@ def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench:
     assert bench.listener.held == ""
 
 
-def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
+def test_a_transducer_is_disabled_and_enabled(bench: Bench) -> None:
     assert bench.obey("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
     assert bench.obey("confirm", position="B") == ("refused", "B is retired")
@@ -409,7 +407,7 @@ def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> 
 
 
 @pytest.mark.parametrize("kind", ["retire", "reinstate"])
-def test_only_a_solitary_wave_transducer_is_retired(bench: Bench, kind: str) -> None:
+def test_only_a_solitary_wave_transducer_is_disabled(bench: Bench, kind: str) -> None:
     words = "there is no solitary-wave transducer 'A'; there are: B, C, D"
     assert bench.obey(kind, position="A") == ("refused", words)
 
@@ -438,7 +436,7 @@ def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
     assert bare.obey(kind) == ("refused", "this test has no supply; configure [rig.supply]")
 
 
-def test_an_unknown_or_misspelt_order_is_answered_and_the_next_one_obeyed(bench: Bench) -> None:
+def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) -> None:
     state, words = bench.obey("self_destruct")
     assert state == "refused"
     assert words.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
@@ -449,7 +447,7 @@ def test_an_unknown_or_misspelt_order_is_answered_and_the_next_one_obeyed(bench:
     assert bench.obey("hold", note="why")[0] == "done"
 
 
-def test_it_looks_no_oftener_than_its_interval(bench: Bench) -> None:
+def test_the_listener_polls_at_most_once_per_interval(bench: Bench) -> None:
     bench.listener.listen()
     order_id = bench.write("hold", note="why")
     bench.now_ns += 200 * NS_PER_MS - 1

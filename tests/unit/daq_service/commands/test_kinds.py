@@ -69,14 +69,14 @@ OPEN = {
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_what_nothing_forbids_is_carried_out(kind: str) -> None:
+def test_a_permitted_command_is_executed(kind: str) -> None:
     held = "held by ben" if kind == "release" else ""
     assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("word", ["finished", "stopped"])
-def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, word: str) -> None:
+def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, word: str) -> None:
     given = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = given.forbidden(facts(**OPEN, recorder=word))
     if isinstance(given, DeskOrder):
@@ -184,14 +184,16 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
         ),
     ],
 )
-def test_words_of_a_refusal(kind: str, state: dict[str, object], reason: str, detail: str, hint: str) -> None:
+def test_a_rejection_has_the_expected_message(
+    kind: str, state: dict[str, object], reason: str, detail: str, hint: str
+) -> None:
     refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
     assert refusal is not None
     assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
     assert refusal.missing == (reason == "there is no current alarm 7")
 
 
-def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
+def test_every_kind_is_parsed_identically_from_row_and_web() -> None:
     web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
     for kind in KINDS:
         body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
@@ -219,7 +221,7 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
         ("acknowledge_alarm", {"alarm_id": True}, "arguments.alarm_id: Input should be a valid integer"),
     ],
 )
-def test_what_is_no_order_is_refused_with_its_part(
+def test_an_invalid_command_is_rejected_with_the_invalid_part(
     kind: str, arguments: dict[str, object], words: str
 ) -> None:
     with pytest.raises(UsageError, match=words):

@@ -51,7 +51,7 @@ def recorder(tmp_path: Path) -> Iterator[Recorder]:
         yield Recorder(tmp_path, catalogue, ownership)
 
 
-def test_an_order_is_written_and_its_answer_printed(
+def test_a_command_is_stored_and_its_result_printed(
     recorder: Recorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorder.answer = ("done", "on hold: nothing strikes")
@@ -60,7 +60,7 @@ def test_an_order_is_written_and_its_answer_printed(
     assert capsys.readouterr().out == "on hold: nothing strikes\n"
 
 
-def test_a_position_goes_with_the_order_and_json_is_one_object(
+def test_a_command_has_its_position_and_json_is_one_object(
     recorder: Recorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorder.answer = ("done", "B strikes no more")
@@ -75,13 +75,13 @@ def test_a_position_goes_with_the_order_and_json_is_one_object(
     }
 
 
-def test_what_is_not_given_is_left_out(recorder: Recorder) -> None:
+def test_arguments_that_are_not_given_are_left_out(recorder: Recorder) -> None:
     recorder.given("supply_on", voltage_v=5.0, current_limit_a=None)
     assert recorder.seen[0][2] == {"note": "", "voltage_v": 5.0}
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_refusal_is_an_error_with_the_recorders_reason(
+def test_a_rejected_command_is_an_error_with_the_recorders_reason(
     recorder: Recorder, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
     recorder.answer = ("refused", "B is not retired")
@@ -92,7 +92,7 @@ def test_a_refusal_is_an_error_with_the_recorders_reason(
     assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
 
 
-def test_arguments_that_no_recorder_would_take_are_not_written(recorder: Recorder) -> None:
+def test_invalid_arguments_are_not_stored(recorder: Recorder) -> None:
     with pytest.raises(UsageError, match=r"arguments\.voltage_v"):
         recorder.given("supply_on", voltage_v=-5.0)
     assert recorder.catalogue.open_commands() == recorder.seen == []
@@ -167,7 +167,7 @@ def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> Non
 
 
 @pytest.mark.parametrize("end", [killed, killed_and_its_heartbeat_lost, overdue, reboot, power_cut, stopped])
-def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable[[Recorder], None]) -> None:
+def test_without_a_recorder_no_command_is_stored(recorder: Recorder, end: Callable[[Recorder], None]) -> None:
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
         recorder.given("hold", note="why")
@@ -175,7 +175,7 @@ def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable
 
 
 @pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
-def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, kind: str) -> None:
+def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: Recorder, kind: str) -> None:
     tell(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
@@ -186,7 +186,7 @@ def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder:
 @pytest.mark.parametrize(
     ("kinds", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
 )
-def test_a_recorder_that_lingers_or_was_started_again_listens(
+def test_a_finished_or_restarted_recorder_accepts_commands(
     recorder: Recorder, kinds: list[str], stage: Stage
 ) -> None:
     tell(recorder.catalogue, *kinds)

@@ -55,7 +55,7 @@ def acknowledge(folder: Path, alarm_id: int = 1) -> int:
     return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
 
 
-def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(tmp_path: Path) -> None:
+def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path: Path) -> None:
     order_id = acknowledge(tmp_path, ended_test(tmp_path))
     with open_catalogue(tmp_path) as catalogue:
         (alarm,), (order,) = catalogue.rows(AlarmRow), catalogue.rows(CommandRow)
@@ -69,7 +69,7 @@ def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(t
     assert history.commands == {order_id: order}
 
 
-def test_what_is_forbidden_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_forbidden_command_stores_nothing(tmp_path: Path) -> None:
     alarm_id = ended_test(tmp_path)
     acknowledge(tmp_path, alarm_id)
     before = read_history(tmp_path).last_number
@@ -82,7 +82,7 @@ def test_what_is_forbidden_leaves_nothing_behind(tmp_path: Path) -> None:
     assert read_history(tmp_path).last_number == before
 
 
-def test_a_recorder_that_has_come_meanwhile_is_not_disturbed(
+def test_a_recorder_started_meanwhile_is_not_disturbed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alarm_id = ended_test(tmp_path)

@@ -62,7 +62,7 @@ def test_a_decaying_current_approaches_its_closed_form_as_the_rule_must():
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=1e-3)  # second order
 
 
-def test_a_wall_of_the_papers_size_fits_faradays_law():
+def test_the_charge_of_the_papers_wall_agrees_with_faradays_law():
     """2.3 mm of 6.45 cm2 in 300 h is some 11 A h, the order of charge of such tests."""
     iron_kg = 2.3e-3 * 6.4516e-4 * 7800.0
     coulomb = iron_kg / 55.845e-3 * 2.0 * FARADAY_C_PER_MOL

@@ -73,7 +73,7 @@ def watched(*alarms, off_at_end=False):
 
 
 @pytest.mark.parametrize("acknowledged", [False, True])
-def test_a_standing_trip_keeps_the_interlock_open_after_a_restart(acknowledged):
+def test_an_active_trip_keeps_the_interlock_tripped_after_a_restart(acknowledged):
     watch, supply, _ = watched(tripped(acknowledged=acknowledged))
     watch.tick(2.0)
     assert not supply.on

@@ -127,7 +127,7 @@ def test_the_next_action(facts: dict[str, Any], action: str) -> None:
     assert next_action(**{**usual, **facts}) == action
 
 
-def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench) -> None:
+def test_an_unwatched_supply_is_switched_off_once_and_released(bench: Bench) -> None:
     bench.ask()
     bench.run(UNWATCHED_S - 5.0)
     assert bench.supply.on
@@ -150,7 +150,7 @@ def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench
     assert bench.supply.on
 
 
-def test_being_asked_is_being_watched(bench: Bench) -> None:
+def test_a_request_restarts_the_watchdog(bench: Bench) -> None:
     for _ in range(5):
         bench.ask()
         bench.run(UNWATCHED_S - 10.0)
@@ -168,7 +168,7 @@ def test_a_step_of_utc_neither_switches_off_nor_keeps_on(bench: Bench) -> None:
     assert not bench.supply.on
 
 
-def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(bench: Bench) -> None:
+def test_a_silent_supply_is_switched_off_before_the_process_ends(bench: Bench) -> None:
     bench.supply.error = LOST
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
@@ -181,14 +181,14 @@ def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(b
     assert not look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
 
 
-def test_a_supply_that_loses_its_power_after_it_was_switched_off_keeps_no_process(bench: Bench) -> None:
+def test_a_supply_without_power_after_the_switch_off_ends_the_process(bench: Bench) -> None:
     bench.ask("switch off", author="the end of the test")
     bench.supply.error = LOST
     bench.run(30.0)
     assert bench.process.leaves, "62 min were seen"
 
 
-def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
+def test_a_killed_process_keeps_the_interlock(bench: Bench) -> None:
     bench.ask("trip", reason="hole at B")
     assert not bench.supply.on
     bench.supply.on = True  # at the front panel, while no process runs
@@ -198,7 +198,7 @@ def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
     assert bench.ask()["row"]["supply_tripped"] == "hole at B"
 
 
-def test_a_process_that_is_killed_leaves_the_output_and_the_next_one_counts_on(bench: Bench) -> None:
+def test_a_killed_process_leaves_the_output_and_the_next_one_continues(bench: Bench) -> None:
     before = bench.ask()["row"]
     bench.process.keep(at_once=True)
     bench.clock.advance(100.0)
@@ -212,7 +212,7 @@ def test_a_process_that_is_killed_leaves_the_output_and_the_next_one_counts_on(b
     assert bench.active() == set()
 
 
-def test_a_process_that_is_started_again_and_again_counts_the_silence_before_it(bench: Bench) -> None:
+def test_a_restarted_process_counts_the_earlier_silence(bench: Bench) -> None:
     bench.ask()
     bench.run(UNWATCHED_S - 10.0)
     bench.process.keep(at_once=True)
@@ -223,7 +223,7 @@ def test_a_process_that_is_started_again_and_again_counts_the_silence_before_it(
     assert not bench.supply.on
 
 
-def test_an_order_that_comes_too_late_is_refused(bench: Bench) -> None:
+def test_a_late_command_is_rejected(bench: Bench) -> None:
     bench.ask("switch off", author="Ada")
     answer = bench.ask(**ON, until_boot_ns=bench.clock.now_ns - 1)
     assert answer["error"] == "it came too late, nothing was done"
@@ -308,7 +308,7 @@ def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: 
     assert (bench.locks, bench.ports) == (0, 0)
 
 
-def test_it_leaves_only_after_the_output_was_read_as_off(bench: Bench) -> None:
+def test_the_process_ends_only_after_the_output_reads_off(bench: Bench) -> None:
     bench.supply.current_a = 0.95
     bench.run(0.5 * UNWATCHED_S)
     kept = read_kept(bench.folder)
@@ -322,12 +322,12 @@ def test_stopped_while_it_waits_for_a_successor_it_switches_off(bench: Bench) ->
     assert not bench.supply.on
 
 
-def test_a_request_that_makes_no_sense_is_answered(bench: Bench) -> None:
+def test_an_invalid_request_gets_an_error_response(bench: Bench) -> None:
     assert "error" in bench.ask("energise")
     assert bench.energised() == 1
 
 
-def test_a_disk_that_takes_nothing_keeps_it_from_nothing(
+def test_a_full_disk_does_not_affect_the_supply_process(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -398,7 +398,7 @@ def test_the_process_reports_a_failed_switch_off_when_it_ends(bench: Bench) -> N
     assert unsafe.value.exit_code == 3
 
 
-def test_a_supply_that_was_never_met_is_given_up(tmp_path: Path) -> None:
+def test_a_supply_that_never_responded_is_given_up(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(60.0)
@@ -462,7 +462,7 @@ def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
 # What is kept --------------------------------------------------------------------------------------
 
 
-def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
+def test_the_stored_state_reads_back_equal(tmp_path: Path) -> None:
     state = DriveState(
         charge=Charge(coulomb=1.5),
         tripped="hole",

@@ -116,7 +116,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.is_killed()
 
 
-def test_commands_go_through_and_their_answers_come_back(bench: Bench) -> None:
+def test_commands_are_sent_and_their_results_returned(bench: Bench) -> None:
     bench.comes_up()
     assert bench.answer(bench.remote.energise("Ada", voltage_v=5.0)) == ""
     assert bench.supply.on
@@ -159,7 +159,7 @@ def test_a_missing_process_is_started_with_growing_intervals(bench: Bench) -> No
     assert 4 <= bench.started <= 8
 
 
-def test_before_the_first_answer_nothing_is_known_and_after_a_while_that_is_an_alarm(bench: Bench) -> None:
+def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) -> None:
     bench.remote.tick()
     row = bench.remote.row(3, 1.5)
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
@@ -168,7 +168,7 @@ def test_before_the_first_answer_nothing_is_known_and_after_a_while_that_is_an_a
     assert "Its process has not answered" in bench.active()["supply_lost"]
 
 
-def test_a_process_that_is_gone_is_unknown_at_once_with_its_age(bench: Bench) -> None:
+def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on")
@@ -381,7 +381,7 @@ def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded: Gu
     assert guarded.started == 1
 
 
-def test_the_means_of_a_set_begin_behind_the_readings_of_its_row(bench: Bench) -> None:
+def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on", voltage_max_v=10.0)
@@ -389,7 +389,7 @@ def test_the_means_of_a_set_begin_behind_the_readings_of_its_row(bench: Bench) -
     bench.wait_for_row(current_a=None)
 
 
-def test_the_first_process_takes_over_what_the_catalogue_says_a_later_one_what_was_kept(bench: Bench) -> None:
+def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench: Bench) -> None:
     (bench.folder / "drive.json").unlink()
     bench.remote.begin(DriveState(charge=Charge(coulomb=7.0)))
     bench.remote.begin(DriveState(charge=Charge(coulomb=1.0)))
@@ -401,7 +401,7 @@ def test_the_first_process_takes_over_what_the_catalogue_says_a_later_one_what_w
 # The channel ---------------------------------------------------------------------------------------
 
 
-def test_a_line_is_opened_with_the_key_that_sealed_it() -> None:
+def test_a_message_is_decoded_only_with_its_key() -> None:
     line = sealed(KEY, {"id": 1, "do": "look"})
     assert opened(KEY, line) == {"id": 1, "do": "look"}
     assert opened(b"other", line) is None

@@ -76,7 +76,7 @@ def test_a_log_that_cannot_be_made_is_a_warning(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no terminal hangs up there")
-def test_a_closed_terminal_is_a_polite_stop():
+def test_a_closed_terminal_is_an_orderly_stop():
     with stop_on_signals() as stop:
         assert not stop.is_set()
         signal.raise_signal(signal.SIGHUP)
@@ -100,7 +100,7 @@ def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
 
 
 @pytest.mark.timeout(60)
-def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
+def test_a_signal_during_a_read_of_the_event_is_handled():
     """Its handler runs in the thread that holds the lock of the event, and must not wait."""
     with stop_on_signals() as stop:
         with stop._cond:

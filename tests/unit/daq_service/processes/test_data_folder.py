@@ -24,7 +24,7 @@ from daq_service.processes.data_folder import (
 from daq_service.settings.tree import Settings
 
 
-def test_a_folder_is_made_with_its_parts_and_nothing_else(tmp_path: Path) -> None:
+def test_a_folder_is_created_with_its_subfolders_only(tmp_path: Path) -> None:
     prepare_data_folder(tmp_path / "a" / "b")
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["live", "logs", "sets"]
 
@@ -60,7 +60,7 @@ def test_a_read_only_folder_is_reported(tmp_path: Path, monkeypatch: pytest.Monk
         prepare_data_folder(tmp_path)
 
 
-def test_a_folder_for_hints_that_cannot_be_made_is_a_warning(
+def test_an_optional_folder_that_cannot_be_created_is_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "sets").mkdir()
@@ -70,7 +70,7 @@ def test_a_folder_for_hints_that_cannot_be_made_is_a_warning(
     assert (tmp_path / "live").read_text() == "foreign"
 
 
-def test_what_killed_writers_left_goes_and_nothing_else(tmp_path: Path) -> None:
+def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path: Path) -> None:
     prepare_data_folder(tmp_path)
     left = ["heartbeat.tmp", "configuration.tmp", ".write-test-0a", "live/B.tmp"]
     kept = ["configuration.json", "live/B.bin", "sets/set_000001_20240101T010000Z.h5"]
@@ -93,7 +93,7 @@ def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path: Pat
     assert is_owned(tmp_path) is None
 
 
-def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
+def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path: Path) -> None:
     with own_data_folder(tmp_path):
         pass
     with ExitStack() as asking:

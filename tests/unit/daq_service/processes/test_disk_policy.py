@@ -26,7 +26,7 @@ def level(free_gb, total_gb=100.0, before="ample", **settings):
     ("free_gb", "expected"),
     [(20.0, "ample"), (19.9, "warn"), (10.0, "warn"), (9.9, "alarm"), (5.0, "alarm"), (4.9, "stop")],
 )
-def test_a_level_begins_at_its_part_of_the_volume(free_gb, expected):
+def test_a_level_starts_at_its_fraction_of_the_volume(free_gb, expected):
     assert level(free_gb) == expected
 
 
@@ -34,13 +34,13 @@ def test_a_level_begins_at_its_part_of_the_volume(free_gb, expected):
     ("before", "stays_gb", "leaves_gb", "for_level"),
     [("stop", 5.4, 5.6, "alarm"), ("alarm", 10.9, 11.1, "warn"), ("warn", 21.9, 22.1, "ample")],
 )
-def test_a_level_is_left_a_tenth_above_its_limit(before, stays_gb, leaves_gb, for_level):
+def test_a_level_ends_a_tenth_above_its_limit(before, stays_gb, leaves_gb, for_level):
     assert level(stays_gb, before=before) == before
     assert level(leaves_gb, before=before) == for_level
     assert level(50.0, before=before) == "ample"
 
 
-def test_of_a_large_volume_the_parts_are_those_of_a_smaller_one():
+def test_a_large_volume_has_the_limits_of_a_smaller_one():
     assert [level(free, 10_000.0) for free in (201, 199, 49)] == ["ample", "warn", "stop"]
     assert level(199, 10_000.0, volume_gb=100.0) == "ample"
 
@@ -83,7 +83,7 @@ def test_the_reserve_is_kept_given_back_when_the_disk_is_full_and_made_again(tmp
     assert disk.refusal == ""
 
 
-def test_a_disk_that_cannot_be_asked_changes_nothing(tmp_path):
+def test_an_unreadable_disk_state_changes_no_level(tmp_path):
     def gone(folder):
         raise FileNotFoundError(folder)
 
@@ -92,7 +92,7 @@ def test_a_disk_that_cannot_be_asked_changes_nothing(tmp_path):
     assert (disk.space.level, disk.refusal) == ("ample", "")
 
 
-def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
+def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp_path):
     settings = Settings()
     filled = FilledFolder(tmp_path, settings)
     try:

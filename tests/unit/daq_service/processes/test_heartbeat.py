@@ -31,7 +31,7 @@ class FakeMonotonic:
         return now_ns
 
 
-def test_no_recorder_no_heartbeat(tmp_path: Path) -> None:
+def test_without_a_recorder_there_is_no_heartbeat(tmp_path: Path) -> None:
     assert read_heartbeat(tmp_path) is None
 
 
@@ -98,7 +98,7 @@ def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
     assert len(set(seen)) == 4
 
 
-def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -> None:
+def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: Path) -> None:
     def writes(cost_ns: int) -> int:
         clock = FakeMonotonic()
         heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -136,7 +136,7 @@ def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp
     assert beat.doing == "taking set 1"
 
 
-def test_nothing_half_written_is_left(tmp_path: Path) -> None:
+def test_no_partial_file_remains(tmp_path: Path) -> None:
     Heartbeat(tmp_path, deadline_s=65.0).beat("waiting")
     assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
 
@@ -198,7 +198,7 @@ def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
     assert beat.doing == "waiting"
 
 
-def test_a_look_that_falls_into_a_write_looks_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_during_a_write_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every mixture of two beats is rejected; then the complete beat is read."""
     old, new = (
         encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))

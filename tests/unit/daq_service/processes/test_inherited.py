@@ -68,7 +68,7 @@ def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal(
     assert done.returncode == 7
 
 
-def test_a_stop_signal_that_is_blocked_at_the_start_is_heard() -> None:
+def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
     done = started(
         "os.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(60)",
         lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
@@ -97,7 +97,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
     assert done.stdout == "(100000, 100000) (3600, 3600)\n"
 
 
-def test_what_prints_in_the_background_is_not_stopped_by_its_terminal() -> None:
+def test_a_background_process_that_prints_is_not_stopped() -> None:
     """After `stty tostop` SIGTTOU would stop the process."""
     done = started("print(signal.getsignal(signal.SIGTTOU).name)")
     assert done.stdout == "SIG_IGN\n"
@@ -106,7 +106,7 @@ def test_what_prints_in_the_background_is_not_stopped_by_its_terminal() -> None:
 @pytest.mark.parametrize(
     ("mask", "expected"), [(0o777, 0o600), (0o000, 0o664), (0o002, 0o664), (0o022, 0o644)]
 )
-def test_its_owner_can_read_what_it_writes_and_strangers_write_nothing(
+def test_files_are_readable_by_their_owner_and_not_writable_by_others(
     mask: int, expected: int, tmp_path: Path
 ) -> None:
     path = tmp_path / "set.h5"
@@ -165,7 +165,7 @@ sys.exit(3)
 
 
 @pytest.mark.parametrize("script", ["print_line('a line ' * 100_000)\nend_process(3)\nsys.exit(3)", NEWS])
-def test_a_held_terminal_delays_no_end(script: str) -> None:
+def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
     """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
@@ -175,7 +175,7 @@ def test_a_held_terminal_delays_no_end(script: str) -> None:
         os.close(writer)
 
 
-def test_an_inspecting_interpreter_ends_as_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_inspect_does_not_change_the_exit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONINSPECT", "1")
     done = started("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "")

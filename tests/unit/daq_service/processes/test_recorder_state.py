@@ -92,7 +92,7 @@ def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
 
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
-def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
+def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -> None:
     """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
     def state(found: Beat | None) -> tuple[Word, str, bool]:
@@ -116,7 +116,7 @@ def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
         (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
 )
-def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
+def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
     kinds: list[str], word: Word, listens: bool
 ) -> None:
     left = beat(1.0, stage="ended")

@@ -87,7 +87,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 RESTARTS, NO_SET = "3 restarts in 10 min", "No planned set stored for 2 intervals"
 
 
-def test_three_restarts_in_ten_minutes_raise_it_once_and_a_stored_set_clears_it(bench: Bench) -> None:
+def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench: Bench) -> None:
     bench.store()
     bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == [("alarm_raised", RESTARTS)]
@@ -100,7 +100,7 @@ def test_three_restarts_in_ten_minutes_raise_it_once_and_a_stored_set_clears_it(
     assert [kind for kind, _ in bench.alarms()] == ["alarm_raised", "alarm_cleared"]
 
 
-def test_restarts_that_are_rare_or_ordered_raise_nothing(bench: Bench) -> None:
+def test_rare_or_commanded_restarts_raise_no_alarm(bench: Bench) -> None:
     bench.store()
     bench.run(0.5, restarts_every_h=2.0 * LOOK_EVERY_H)
     bench.store()
@@ -109,7 +109,7 @@ def test_restarts_that_are_rare_or_ordered_raise_nothing(bench: Bench) -> None:
     assert bench.alarms() == []
 
 
-def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(bench: Bench) -> None:
+def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
     """The plug-in driver raises at the first shot of each set: one restart per interval."""
     bench.hour = 2.1
     bench.store()
@@ -120,7 +120,7 @@ def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(
 
 
 @pytest.mark.parametrize("word", ["silent", "stopped", "absent"])
-def test_a_recorder_that_does_not_run_is_noticed(bench: Bench, word: Word) -> None:
+def test_a_recorder_that_does_not_run_is_detected(bench: Bench, word: Word) -> None:
     bench.hour = 2.1
     bench.store()
     bench.word = word
@@ -169,7 +169,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
     assert bench.alarms() == []
 
 
-def test_a_recorder_that_lives_has_its_own_alarms_for_what_it_waits_for(bench: Bench) -> None:
+def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
     bench.run(3.0)
     bench.word = "silent"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)

@@ -175,7 +175,7 @@ def test_an_announced_code_counts_also_where_a_library_ends_the_process_afterwar
 
 
 @pytest.mark.parametrize("code", [2, 3, 4, 5])
-def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> None:
+def test_a_documented_exit_code_stops_all_processes_and_is_passed_on(code: int) -> None:
     web = Life()
     world = World(Life(code, after_s=1.0), web, plans=(RECORDER, WEB))
     assert world.run(stay=True) == code
@@ -280,7 +280,7 @@ def test_a_recorder_that_beats_is_left_alone() -> None:
     assert len(world.started) == 1
 
 
-def test_a_beat_that_cannot_be_read_for_a_moment_takes_nothing_from_the_one_before() -> None:
+def test_an_unreadable_beat_does_not_replace_the_previous_one() -> None:
     world = World(Life(0, after_s=STARTING_GRACE_S + 20.0))
     world.beat = lambda: None if round(world.now_s / 0.05) % 3 else beat_at(world, world.now_s)
     assert world.run() == 0

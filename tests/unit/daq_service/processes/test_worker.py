@@ -12,7 +12,7 @@ from daq_service.processes.worker import one_worker
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 
 
-def test_a_worker_that_dies_in_the_midst_of_its_answer_is_missed():
+def test_a_worker_that_ends_during_its_answer_is_detected():
     """Its pool waits for the rest of the answer and must not wait forever."""
     executor = one_worker()
     answer = executor.submit(die_while_answering)

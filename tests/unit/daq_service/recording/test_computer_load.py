@@ -95,7 +95,7 @@ def test_each_set_that_was_taken_has_one_reading_and_a_missed_one_none(tmp_path)
     assert len({row.payload["recorder_wall_utc_ns"] for row in events}) == 1
 
 
-def test_a_catalogue_that_is_made_again_has_every_reading_as_it_was(tmp_path):
+def test_a_rebuilt_catalogue_has_every_reading(tmp_path):
     folder = lay_out(tmp_path / "data")
 
     def kept():

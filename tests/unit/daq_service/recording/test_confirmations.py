@@ -84,7 +84,7 @@ def whole(tmp_path_factory):
     return one
 
 
-def test_suspicion_is_answered_at_once_at_its_own_position(whole):
+def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(whole):
     line = whole
     first, third = confirmation_rows(line)
     assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
@@ -107,7 +107,7 @@ def test_suspicion_is_answered_at_once_at_its_own_position(whole):
     assert confirmation.distance_squared > confirmation.limit
 
 
-def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
+def test_the_evidence_of_the_alarm_has_the_confirmation_result(whole):
     changes = [row for row in whole.rows("events") if row.position == "B" and row.topic == "alarms"]
     assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
     proven = [row.payload["proof"]["confirmation"] for row in changes]
@@ -116,7 +116,7 @@ def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
     assert proven[1]["confirms"] is True
 
 
-def test_a_transducer_that_stays_sick_is_not_asked_every_set(whole):
+def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(whole):
     asked = [row.payload["because"] for row in whole.rows("events") if row.kind == "confirmation_asked"]
     assert asked == [STEP, ALARM]
 
@@ -155,7 +155,7 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
         assert own.positions_state()["B"].last_set.set_index == SETS - 1
 
 
-def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
+def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     line.settings = settings(confirmation_sets_a_day=1)
 
     ordered_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
@@ -173,7 +173,7 @@ def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
         (FIRST, {"position": "A"}, "there is no solitary-wave transducer 'A'"),
     ],
 )
-def test_an_order_that_cannot_be_carried_out_is_refused_with_the_reason(line, at, order, refused):
+def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, order, refused):
     line.script = healthy
     ordered_at(line, ("C", at, 0), "confirm", **order)
     line.run()
@@ -184,7 +184,7 @@ def test_an_order_that_cannot_be_carried_out_is_refused_with_the_reason(line, at
     assert not confirmation_rows(line)
 
 
-def test_hands_in_the_rig_end_a_confirmation_set_too(line):
+def test_a_pause_ends_a_confirmation_set(line):
     ordered_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
     line.run()
     (row,) = confirmation_rows(line)
@@ -198,7 +198,7 @@ def confirmation_of_b(line):
         return confirmation_of(catalogue, "B")
 
 
-def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line):
+def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     stop = threading.Event()
 
     def stopping(key):
@@ -281,14 +281,14 @@ def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
     assert features[0] == features[1]
 
 
-def test_it_is_not_struck_where_the_next_planned_set_would_wait(line):
+def test_no_confirmation_set_is_taken_if_it_would_delay_a_scheduled_set(line):
     line.settings = settings({"phases": [{"until_h": 0.44, "interval_h": 0.02}]}, {"hours": 0.32})
     line.run()
     assert not confirmation_rows(line)
     assert "confirmation" not in the_alarm(line).proof
 
 
-def test_one_that_a_restart_finds_too_late_is_closed_with_what_it_has(line):
+def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(line):
     stop = threading.Event()
 
     def stopping(key):

@@ -22,7 +22,7 @@ class ForgetfulArchive(MemoryArchive):
         return stored
 
 
-def test_sets_that_are_stored_leave_nothing_behind_in_memory(tmp_path):
+def test_stored_sets_use_no_memory(tmp_path):
     settings = memory_settings(
         schedule={"phases": [{"until_h": (LAST + 1) / 2, "interval_h": 0.5}], "shots_per_set": 4},
         baseline={"minimum_valid_shots": 1},

@@ -74,7 +74,7 @@ def test_without_a_service_or_after_its_orderly_end_none_is_missing(web: Web) ->
 
 
 @pytest.mark.parametrize("boot", [boot_name(), "another boot"])
-def test_one_that_served_before_this_recorder_has_time_to_come_back(web: Web, boot: str) -> None:
+def test_a_service_older_than_the_recorder_has_time_to_return(web: Web, boot: str) -> None:
     web.beat(boot=boot)
     web.now_s += 10.0 * WEB_DEADLINE_S
     watch = web.watch()
@@ -82,7 +82,7 @@ def test_one_that_served_before_this_recorder_has_time_to_come_back(web: Web, bo
     assert list(web.looks(watch, 2.0))[-1] is True
 
 
-def test_a_computer_that_wakes_up_finds_no_service_missing(web: Web) -> None:
+def test_a_wake_up_of_the_computer_reports_no_missing_service(web: Web) -> None:
     watch = web.watch()
     web.beat()
     assert next(web.looks(watch, 1.0)) is False
@@ -149,7 +149,7 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
     assert row.state == "returned_unacknowledged"
 
 
-def test_an_order_finds_the_alarm_that_another_process_raised(tmp_path: Path) -> None:
+def test_a_command_applies_to_the_alarm_of_another_process(tmp_path: Path) -> None:
     line = Line(tmp_path, script=lambda key: None)  # no set has records: the alarm stays
 
     def report(event: str, **values: object) -> None:

@@ -98,7 +98,7 @@ def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> Non
     assert len(opener.alarms) == 1
 
 
-def test_a_rig_that_opens_says_nothing_of_the_alarm_of_a_set(opener: Opener) -> None:
+def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener: Opener) -> None:
     opener.stop.set()
     opener.open(1)
     (row,) = opener.alarms
@@ -126,7 +126,7 @@ STOPPED = "the recorder was stopped by its operator"
         ([], None, "the recorder was starting"),
     ],
 )
-def test_the_cause_of_missed_sets_is_what_is_known(
+def test_missed_sets_have_the_known_cause(
     tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
 ) -> None:
     with new_catalogue(tmp_path) as catalogue:
@@ -135,7 +135,7 @@ def test_the_cause_of_missed_sets_is_what_is_known(
         assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
 
 
-def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
+def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> None:
     tell(opener.catalogue, "recorder_started")
     _take_leave(
         opener.catalogue,

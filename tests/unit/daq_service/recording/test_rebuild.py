@@ -49,7 +49,7 @@ def made_again(line, **options):
     return rebuild(line.folder, features_of=line.features_of, **options)
 
 
-def test_a_lost_catalogue_comes_again_row_for_row(line):
+def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
     calls = []
@@ -72,7 +72,7 @@ def on_the_wall_clock(tmp_path_factory):
     [((), set(metadata.tables)), ((EXPERIMENT_FILE, HISTORY_FILE), {"sets", "shots", "features"})],
     ids=["the catalogue", "all but the sets"],
 )
-def test_on_the_wall_clock_hour_0_and_the_rows_come_again(on_the_wall_clock, tmp_path, gone, tables):
+def test_a_test_on_the_wall_clock_is_rebuilt_with_its_hour_0(on_the_wall_clock, tmp_path, gone, tables):
     folder = tmp_path / "data"
     shutil.copytree(on_the_wall_clock, folder)
     before = table_rows(folder)
@@ -101,14 +101,14 @@ def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line)
     assert (line.folder / HISTORY_FILE).exists()
 
 
-def test_twice_is_once(line):
+def test_a_second_rebuild_changes_nothing(line):
     before = table_rows(line.folder)
     made_again(line)
     made_again(line)
     assert table_rows(line.folder) == before
 
 
-def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
+def test_the_files_alone_restore_all_rows_of_their_sets(line):
     with open_catalogue(line.folder) as catalogue:
         before = [row for row in catalogue.rows(SetRow) if row.file]
         epoch = catalogue.experiment_row().epoch_utc_ns
@@ -122,7 +122,7 @@ def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
     ]
 
 
-def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_and_again(tmp_path):
+def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp_path):
     kinds = {"no_data": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
     stop = threading.Event()
 
@@ -176,7 +176,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     assert {name for name in before if before[name] != after[name]} == {"events", "counts"}
 
 
-def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
+def test_a_lost_line_that_a_set_implies_gets_its_id_again(line):
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)

@@ -70,7 +70,7 @@ def test_every_due_set_is_struck_in_order_and_has_its_rows(line):
     assert line.rows("events")[-1].kind == "schedule_done"
 
 
-def test_a_set_is_durable_before_anybody_hears_of_it(line):
+def test_a_set_is_durable_before_it_is_reported(line):
     archive = WatchedArchive(line)
     line.run(archive=archive)
     assert archive.seen == [(index, index) for index in range(SETS)]
@@ -138,7 +138,7 @@ def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, whole, err
     assert line.heartbeat.told[-1] == "leaving"
 
 
-def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
+def test_in_real_time_sets_are_struck_on_and_stored_later(line, whole):
     line.settings = memory_settings(clock={"kind": "wall"})
     disk = FullDisk(line, 3, 4)
     assert line.run(archive=disk, mono_s=Seconds(0.4))
@@ -203,7 +203,7 @@ def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_
     assert missed == {"the recorder waited for the disk: database is locked"}
 
 
-def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
+def test_the_recorder_waits_for_the_last_event_of_a_test(line, monkeypatch):
     add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
 
     def failing(catalogue, *, kind, **values):
@@ -291,7 +291,7 @@ class Volume:
         return DiskWatch(self.line.folder, StorageSettings(reserve_mb=1), usage=self, mono_s=Seconds())
 
 
-def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
+def test_below_five_percent_free_no_data_are_stored(line, whole):
     assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
     assert_same_rows(line, whole)
     alarms = {row.kind: row for row in line.alarms()}
@@ -330,7 +330,7 @@ def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, who
     assert_same_rows(line, whole)
 
 
-def test_a_stop_stores_what_waits_in_the_space_that_is_left(line, caplog):
+def test_a_stop_stores_pending_data_in_the_remaining_space(line, caplog):
     stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
     volume = Volume(line, 2, 4.9, 10**9)
     line.settings = memory_settings(clock={"kind": "wall"})
@@ -342,7 +342,7 @@ def test_a_stop_stores_what_waits_in_the_space_that_is_left(line, caplog):
     assert "jobs are lost" not in caplog.text
 
 
-def test_a_restart_gives_the_rows_of_a_run_in_one_go(line, tmp_path):
+def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, tmp_path):
     whole = Line(tmp_path / "whole")
     whole.folder.mkdir()
     whole.run()
@@ -366,7 +366,7 @@ def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
     assert line.rows("shots", "B") == whole.rows("shots", "B")
 
 
-def test_a_damaged_file_without_rows_is_set_aside_with_an_alarm_and_blocks_no_start(line, tmp_path):
+def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path):
     whole = Line(tmp_path / "whole")
     whole.folder.mkdir()
     whole.run()
@@ -385,7 +385,7 @@ def test_a_damaged_file_without_rows_is_set_aside_with_an_alarm_and_blocks_no_st
     assert alarm.state == "returned_unacknowledged"
 
 
-def test_an_alarm_that_a_crash_kept_from_its_rows_is_raised_by_the_next_start(line):
+def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line):
     whole = Line(line.folder.parent / "whole")
     whole.folder.mkdir()
     whole.run()
@@ -395,7 +395,7 @@ def test_an_alarm_that_a_crash_kept_from_its_rows_is_raised_by_the_next_start(li
     assert [row.kind for row in line.alarms()] == ["data_damaged"]
 
 
-def test_a_recorder_whose_supervisor_is_gone_says_so(line):
+def test_a_recorder_without_its_supervisor_reports_it(line):
     stop, left_alone = threading.Event(), threading.Event()
     stop.set()
     left_alone.set()
@@ -448,7 +448,7 @@ def test_a_shot_whose_repetition_counts_is_not_averaged_in(line):
     assert row.amplitude_ratio == pytest.approx(mean, rel=1e-12)  # a mean in another order: rounding only
 
 
-def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
+def test_a_missed_strike_makes_a_set_partial_with_a_count(line):
     line.script = lambda key: None if (key.position, key.set_index) == ("B", 1) else healthy(key)
     line.run()
     row = line.rows("sets", "B")[1]
@@ -458,7 +458,7 @@ def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
     assert states(line, "C")[1] == "done"
 
 
-def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
+def test_a_set_without_records_has_rows_with_causes_and_no_file(line):
     line.script = lambda key: None if key.set_index == 2 else healthy(key)
     line.run()
     assert {states(line, position)[2] for position in "ABCD"} == {"missed"}
@@ -467,7 +467,7 @@ def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
 
 
 @pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
-def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, kind):
+def test_a_temporary_rig_error_costs_only_its_set(line, kind):
     trouble = kind("the chassis reboots")
     line.script = lambda key: trouble if key.set_index == 0 and key.position != "A" else healthy(key)
     assert line.run()
@@ -511,7 +511,7 @@ def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, res
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
 
-def test_a_stop_leaves_the_set_open_and_the_rest_is_due_again(line):
+def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
     stop = threading.Event()
 
     def script(key):
@@ -554,7 +554,7 @@ def test_a_set_that_a_stop_cut_short_goes_on_with_the_missing_strikes_only(line,
     assert archive.open_sets() == {}
 
 
-def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
+def test_an_open_set_whose_time_is_over_keeps_its_records(line):
     archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     assert line.run(archive=archive, start_h=1.7, cause="the power was out")
     assert [states(line, position)[:3] for position in "ABCD"] == [
@@ -569,7 +569,7 @@ def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
     assert archive.open_sets() == {}
 
 
-def test_a_hold_after_a_restart_keeps_what_an_open_set_has(line):
+def test_a_pause_after_a_restart_keeps_the_records_of_an_open_set(line):
     archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     line.order("hold", note="hands in the rig")
     line.listen_every_s = 0.0
@@ -655,7 +655,7 @@ def ordered_at(line, key, kind, **arguments):
     line.script = script
 
 
-def test_a_hold_ends_the_set_that_is_being_taken(line):
+def test_a_pause_ends_the_running_set(line):
     ordered_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
@@ -663,14 +663,14 @@ def test_a_hold_ends_the_set_that_is_being_taken(line):
     assert causes(line, "D")[1] == "held by Ada: hands in the rig"
 
 
-def test_a_transducer_that_is_retired_during_a_set_is_struck_no_more(line):
+def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
     ordered_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "retired"]
 
 
-def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
+def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
     line.order("hold", note="hands in the rig")
     assert line.run()
     assert line.instruments[0].struck == []
@@ -681,7 +681,7 @@ def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
     assert {row.state for row in line.rows("sets")} == {"missed"}
 
 
-def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
+def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
     line.order("retire", position="C")
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
@@ -690,7 +690,7 @@ def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_silent_transducer_raises_no_data_then_retires(line):
+def test_a_silent_transducer_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
     line.run()
     alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
@@ -698,7 +698,7 @@ def test_a_silent_transducer_raises_no_data_then_retires(line):
     assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
 
 
-def test_a_transducer_that_gives_no_record_at_all_raises_no_data_then_retires(line):
+def test_a_transducer_without_any_record_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: None
     line.run()
     alarms = {row.kind: row.raised_set_index for row in line.rows("alarms") if row.position == "D"}
@@ -713,7 +713,7 @@ def test_the_baseline_ends_with_the_set_at_its_last_hour(line):
     assert {(row.first_set_index, row.last_set_index, row.n_sets) for row in baselines} == {(0, 7, 8)}
 
 
-def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
+def test_a_dry_run_raises_no_alarm_repeats_no_strike_and_is_marked(line):
     line.script = lambda key: silent("noisy")
     line.run(dry_run=True)
     assert [row for row in line.rows("alarms") if row.position in TRANSDUCERS] == []
@@ -732,7 +732,7 @@ def test_the_heartbeat_names_each_activity(line):
     )
 
 
-def test_a_recorder_that_waits_gives_signs_of_life(line):
+def test_a_waiting_recorder_sends_heartbeats(line):
     line.run()
     activities = line.heartbeat.told
     waits = [f"waiting for set {index}" for index in range(SETS)]

@@ -38,7 +38,7 @@ def line(request, tmp_path_factory):
     return line
 
 
-def test_it_is_not_approved_and_says_what_helps(line):
+def test_a_baseline_without_limits_is_not_approved_and_names_the_remedy(line):
     first, second = line.rows("baselines", "B")
     assert (first.state, first.approved_utc_ns, first.limit_reason) == ("retired", None, REASON)
     assert second.limit_reason is None
@@ -53,7 +53,7 @@ def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
     assert line.seen.keys() == {"approve_baseline", "confirm", "renew_baseline"}
 
 
-def test_it_is_neither_signed_nor_compared_with(line):
+def test_a_baseline_without_limits_is_neither_approved_nor_used(line):
     with line.catalogue() as catalogue:
         answers = {row.kind: (row.state, row.result) for row in catalogue.rows(CommandRow)}
     assert answers["approve_baseline"] == ("refused", f"the baseline of B has no limits: {REASON}")
@@ -61,7 +61,7 @@ def test_it_is_neither_signed_nor_compared_with(line):
     assert answers["renew_baseline"][0] == "done"
 
 
-def test_an_alarm_says_so_until_it_is_retired(line):
+def test_an_alarm_is_active_until_the_baseline_is_retired(line):
     (row,) = line.rows("alarms")
     assert (row.position, row.kind, row.severity, row.raised_set_index) == ("B", "not_judged", "medium", LAST)
     assert row.message == f"nothing is judged at B: {REASON}"

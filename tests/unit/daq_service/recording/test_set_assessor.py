@@ -86,7 +86,7 @@ def assess_set(ledger, line, record, file):
     ledger.commit(ledger.judged(due, record, file, features))
 
 
-def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
+def test_a_restart_after_any_set_does_not_change_the_assessments(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15},
@@ -129,7 +129,7 @@ def renewing(line):
     return script
 
 
-def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
+def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
         baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
@@ -224,7 +224,7 @@ def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch)
     assert most == 6
 
 
-def test_a_hole_trips_the_drive_at_once_and_once(line):
+def test_a_hole_trips_the_supply_immediately_and_once(line):
     line.script = lambda key: silent() if key.position == "C" and key.set_index >= 3 else healthy(key)
     with recorded(line, 3) as (ledger, again, records):
         ledger.drive = drive = Drive()
@@ -306,7 +306,7 @@ def test_a_restart_knows_that_a_transducer_was_reinstated(line):
     assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
 
 
-def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
+def test_after_a_restart_a_repeated_shot_does_not_count_for_a_hole(line):
     def script(key):
         if key.position != "B" or key.set_index not in (1, 2):
             return healthy(key)
@@ -351,7 +351,7 @@ def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
     assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
 
 
-def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
+def test_a_later_echo_is_the_reference_if_the_first_record_is_lost(line, caplog):
     stop = threading.Event()
     line.script = ended_after("D", 5, stop, healthy)
     assert not line.run(stop=stop, pulse_echo=ThinningWall())
@@ -366,7 +366,7 @@ def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
     assert "set 2 stands in for the reference of A" in caplog.text
 
 
-def test_a_start_that_cannot_read_the_first_record_now_takes_no_other(line, monkeypatch):
+def test_a_temporary_read_error_does_not_change_the_reference_echo(line, monkeypatch):
     line.run(pulse_echo=ThinningWall())
 
     def refused(archive, *_):

@@ -119,7 +119,7 @@ def test_a_step_moves_no_set_and_is_one_event(laboratory, by_h):
 
 
 @pytest.mark.parametrize("in_a_set", [False, True])
-def test_400_h_for_6_s_cost_nothing(laboratory, in_a_set):
+def test_a_clock_error_of_400_h_for_6_s_has_no_effect(laboratory, in_a_set):
     begins_h = 2.0 + 20.0 / 3600.0 if in_a_set else 2.2
 
     def set_ahead():
@@ -186,7 +186,7 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     assert [payload["ahead_s"] for payload in laboratory.event_payloads("clock_believed")] == [0.0]
 
 
-def test_sets_that_went_by_while_the_clock_was_waited_for_say_so(laboratory):
+def test_sets_missed_with_an_unverified_clock_have_that_cause(laboratory):
     laboratory.killed_after(2.2)
     true_ns = laboratory.machine.utc_ns + NS_PER_H  # off for an hour: two sets
     laboratory.machine.start_again(IN_2010_NS)
@@ -248,7 +248,7 @@ def test_a_person_may_trust_a_doubted_clock(laboratory):
     assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
-def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_a_restart(laboratory):
+def test_a_trusted_clock_before_the_last_row_continues_after_that_row(laboratory):
     laboratory.line.listen_every_s = 0.0
     laboratory.killed_after(2.2)
     laboratory.machine.start_again(IN_2010_NS)
@@ -262,7 +262,7 @@ def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_
     assert believed["ahead_s"] == pytest.approx(-14 * 365.25 * 86400, rel=0.01)
 
 
-def test_a_recorder_killed_while_it_doubts_leaves_no_time_to_go_on_with(laboratory):
+def test_a_recorder_killed_with_an_unverified_clock_stores_no_time(laboratory):
     laboratory.killed_after(2.2)
     true_ns = laboratory.machine.utc_ns
     laboratory.machine.start_again(IN_2010_NS)
@@ -288,7 +288,7 @@ def test_a_stop_while_the_clock_is_doubted_leaves_every_set_due(laboratory):
     assert_every_set_once_in_order(laboratory)
 
 
-def test_sets_that_a_sleeping_computer_missed_say_so(laboratory):
+def test_sets_missed_during_sleep_have_that_cause(laboratory):
     laboratory.machine.after(2.2, lambda: laboratory.machine.sleep(1.2 * 3600.0))
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4])

@@ -105,7 +105,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
     return events
 
 
-def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> None:
+def test_each_beat_of_the_line_feeds_the_watchdog(manager: Manager, tmp_path: Path) -> None:
     events = run(manager, tmp_path)
     beats = [doing for event, doing in events if event == "beat"]
     (_, opening), (_, ready), *later, (_, stopping) = manager.heard
@@ -123,7 +123,7 @@ def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> Non
     assert max(after - before for before, after in pairwise(times_s)) <= DEADLINE_S
 
 
-def test_it_starves_while_the_line_hangs(manager: Manager, tmp_path: Path) -> None:
+def test_a_hanging_line_does_not_feed_the_watchdog(manager: Manager, tmp_path: Path) -> None:
     run(manager, tmp_path, hang=ShotKey(position="C", set_index=1, shot_index=2))
     gaps_s = [after - before for before, after in pairwise(manager.times_s("WATCHDOG=1"))]
     assert max(gaps_s) >= HANGS_S

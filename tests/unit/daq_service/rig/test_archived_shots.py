@@ -127,7 +127,7 @@ def second_chunk(path):
         return chunk.byte_offset + chunk.size // 2
 
 
-def test_a_destroyed_file_costs_its_set_only(tmp_path):
+def test_a_corrupt_file_costs_only_its_set(tmp_path):
     first, second = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     first.write_bytes(b"no HDF5 at all")
     source = ArchivedShots(FolderSetReader(tmp_path))
@@ -157,7 +157,7 @@ def test_a_folder_without_sets_is_refused(tmp_path):
         raise AssertionError("opened")
 
 
-def test_what_was_missed_was_tried_but_a_damaged_set_does_not_say(tmp_path):
+def test_missed_strikes_are_known_except_for_a_corrupt_set(tmp_path):
     first, _ = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     key = ShotKey(position="D", set_index=SET_INDEX + 1, shot_index=0, attempt=1)
     source = ArchivedShots(FolderSetReader(tmp_path))

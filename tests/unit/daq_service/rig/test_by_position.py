@@ -66,7 +66,7 @@ def test_every_digitizer_is_disarmed(calls: list[str]) -> None:
     assert sorted(calls) == ["one disarmed", "other disarmed"]
 
 
-def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(calls: list[str]) -> None:
+def test_the_request_of_a_striker_ends_with_the_read_of_its_shot(calls: list[str]) -> None:
     asking, heard = Asking(), list[tuple[str, ShotKey | None]]()
     asking.listen(lambda text, about: heard.append((text, about)))
     part = Part("one", calls, asking)

@@ -62,7 +62,7 @@ def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
     assert [key for name in tables for key in missing_keys(given[name], getattr(rig, name), name)] == []
 
 
-def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
+def test_a_missing_key_is_detected(tmp_path: Path) -> None:
     """This shows that the check above can fail."""
     text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
@@ -96,7 +96,7 @@ def test_each_coil_has_the_home_terminal_of_its_counter() -> None:
     assert boards["watchdog"]["lines"] == [f"port2/line{4 + number}" for number in numbers]
 
 
-def test_what_only_the_laboratory_knows_is_refused_all_at_once() -> None:
+def test_all_placeholders_are_rejected_together() -> None:
     unknown = [
         "rig.daqmx.transducers.B.board_serial: Serial number of the digitizer board",
         "rig.daqmx.transducers.C.board_serial: Serial number of the digitizer board",
@@ -115,7 +115,7 @@ def test_what_only_the_laboratory_knows_is_refused_all_at_once() -> None:
     assert last == f"Fill them in and run `solimon check-config {file}`."
 
 
-def test_a_placeholder_in_a_list_is_one(tmp_path: Path) -> None:
+def test_a_placeholder_in_a_list_is_recognized(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"still PLACEHOLDER:\n  rig\.supply\.setup_commands"):
         load(tmp_path, TEXT.replace("setup_commands = []", 'setup_commands = ["PLACEHOLDER"]'))
 
@@ -130,7 +130,7 @@ def test_the_environment_may_fill_in(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert supply.identity == "MAKER,MODEL,1"
 
 
-def test_a_rehearsal_is_one_variable_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_variable_makes_a_dry_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert load(tmp_path, TEXT).rig.daqmx.dry_run is False
     monkeypatch.setenv("SOLIMON_RIG__DAQMX__DRY_RUN", "true")
     rehearsal = load(tmp_path, TEXT)

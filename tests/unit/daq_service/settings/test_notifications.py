@@ -81,6 +81,6 @@ def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_un
         ({"severity": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
     ],
 )
-def test_a_rule_names_what_there_is(rule, message, tmp_path):
+def test_a_rule_with_unknown_names_is_rejected(rule, message, tmp_path):
     with pytest.raises(UsageError, match=message):
         settings(tmp_path, DUTY, rules=[rule])

@@ -134,7 +134,7 @@ def test_a_written_configuration_is_read_back_as_the_same(tmp_path: Path) -> Non
     assert load_settings(path) == settings
 
 
-def test_the_hash_changes_with_what_the_data_depend_on_and_with_nothing_else() -> None:
+def test_the_hash_depends_only_on_settings_that_affect_the_data() -> None:
     same = load_settings(
         None,
         overrides={
@@ -205,7 +205,7 @@ def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
         checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
 
 
-def test_delays_of_alarms_change_no_test() -> None:
+def test_alarm_delays_do_not_change_the_configuration_hash() -> None:
     """They may be changed during a test, as the measurements stay the same."""
     kinds = {"thickness": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})

@@ -361,7 +361,7 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
     assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
 
 
-def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypatch):
+def test_heartbeats_to_people_are_one_hour_apart_across_restarts(made, monkeypatch):
     mail = {"kind": "apprise", "url": "", "url_env": "MAIL", "secret_env": "", "heartbeat_s": 3600.0}
     bench = made(receiver=mail)
     facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
@@ -374,7 +374,7 @@ def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypat
     assert [round(after - before) for before, after in pairwise(sent_s)] == [4801]
 
 
-def test_a_catalogue_that_cannot_be_read_now_stops_nothing_for_good(made, monkeypatch):
+def test_a_temporary_catalogue_error_stops_no_notification(made, monkeypatch):
     bench = made()
     bench.alarms.change()
     with monkeypatch.context() as patch:
@@ -388,7 +388,7 @@ def _raise(*_):
     raise StorageUnavailableError("the disk is gone")
 
 
-def test_a_trial_says_so_and_moves_no_cursor(made):
+def test_a_test_message_is_marked_and_moves_no_cursor(made):
     bench = made()
     bench.alarms.change()
     assert bench.line.test("ann") == TAKEN

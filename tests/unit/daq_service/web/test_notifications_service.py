@@ -111,7 +111,7 @@ def duty_address(text):
     return text.partition('"address":"')[2].partition('"')[0]
 
 
-def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver):
+def test_a_test_message_returns_its_result_and_only_one_runs_at_a_time(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         answer = client.post(f"{STATE}/duty/test", json={}).json()
         assert (answer["ok"], answer["status"], answer["told"]) == (True, 204, "taken (204)")

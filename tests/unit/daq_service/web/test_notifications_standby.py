@@ -52,7 +52,7 @@ def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
     return [item["kind"] for item in receiver.next().message["alarms"]]
 
 
-def test_without_a_web_service_the_process_that_stands_by_sends(
+def test_without_a_web_service_the_standby_process_sends(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
     with standing_by(filled.settings, filled.folder, watches=False):
@@ -60,7 +60,7 @@ def test_without_a_web_service_the_process_that_stands_by_sends(
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
-def test_the_web_service_takes_over_where_it_stopped_and_back_again(
+def test_the_web_service_and_the_standby_process_continue_each_other(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
     with standing_by(filled.settings, filled.folder, watches=False):
@@ -89,9 +89,7 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
-def test_a_process_whose_lock_was_taken_sends_nothing_more(
-    filled: FilledFolder, receiver: HttpReceiver
-) -> None:
+def test_a_process_that_lost_the_lock_stops_sending(filled: FilledFolder, receiver: HttpReceiver) -> None:
     """This is a web service that continues after it was stopped for long."""
     with served(filled.settings, filled.folder) as web, web.client() as client:
         until(lambda: client.get("/api/v1/notifications").json()["receivers"][0]["began"], "its line")

@@ -74,14 +74,14 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
         (429, {"Retry-After": "soon"}, "429 Too Many Requests", False, 0.0),
     ],
 )
-def test_an_answer_says_what_became_of_it(status, headers, message, refused, retry_after_s, receiver):
+def test_a_response_determines_the_outcome(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
     outcome = sent(receiver, now_s=lambda: 1_000_000.0)
     assert message in outcome.told
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
 
-def test_nothing_is_sent_where_an_answer_points(receiver):
+def test_redirects_are_not_followed(receiver):
     with http_receiver() as elsewhere:
         for status in (301, 302, 307, 308):
             receiver.answers.put((status, {"Location": elsewhere.url}))
@@ -91,12 +91,12 @@ def test_nothing_is_sent_where_an_answer_points(receiver):
         assert elsewhere.got.empty()
 
 
-def test_a_receiver_that_never_answers_is_left_after_the_whole_time(receiver):
+def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver):
     receiver.silent.set()
     assert sent(receiver, bounds=SOON).told == "no answer within 0.2 s"
 
 
-def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
+def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
     """Each byte is in time; only the total time limit ends it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         left = threading.Event()

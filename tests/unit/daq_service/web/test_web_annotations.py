@@ -82,7 +82,7 @@ def test_a_range_of_hours_is_half_open_and_finds_what_reaches_into_it(api):
         ({"from_h": 2.0, "text": "B", "hour": 2.0}, "/hour"),
     ],
 )
-def test_what_is_no_note_is_refused_and_nothing_is_stored(api, body, pointer):
+def test_an_invalid_note_is_rejected_and_not_stored(api, body, pointer):
     before = listed(api)
     answer = note(api, **body)
     assert answer.status_code == 422, answer.text

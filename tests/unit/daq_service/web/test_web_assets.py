@@ -51,7 +51,7 @@ def test_the_page_names_every_module_that_it_needs_at_once():
 
 
 @pytest.mark.parametrize("accepted", ["gzip, br", "identity"])
-def test_a_file_is_compressed_for_those_who_take_it(api, accepted):
+def test_a_file_is_compressed_for_clients_that_accept_it(api, accepted):
     answer = api.get("/static/main.js", headers={"Accept-Encoding": accepted})
     assert answer.headers.get("content-encoding") == ("gzip" if "gzip" in accepted else None)
     assert answer.headers["vary"] == "Accept-Encoding"
@@ -75,7 +75,7 @@ def test_page_has_nothing_that_its_policy_forbids():
         assert "innerHTML" not in TEXT[name]
 
 
-def test_nothing_comes_from_elsewhere():
+def test_the_page_loads_no_external_resource():
     for name in OURS:
         links = re.findall(r"https?://[^\s\"'`)]+", TEXT[name])
         # The namespace of SVG is a name, not an address.

@@ -64,7 +64,7 @@ def test_a_token_is_kept_as_its_hash_for_its_owner_only(tokens):
         assert tokens.stat().st_mode & 0o777 == 0o600
 
 
-def test_names_are_unique_while_they_open(tokens):
+def test_names_of_valid_tokens_are_unique(tokens):
     create_token(tokens, "ann", "viewer")
     with pytest.raises(UsageError, match="ann has a token; revoke it first"):
         create_token(tokens, "ann", "admin")
@@ -77,7 +77,7 @@ def test_names_are_unique_while_they_open(tokens):
         create_token(tokens, "../ann", "admin")
 
 
-def test_a_running_service_follows_the_file_and_shuts_when_it_is_gone(tokens):
+def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tokens):
     now_s = [0.0]
     known = KnownTokens(tokens, mono_s=lambda: now_s[0])
     assert not known.asked_for
@@ -98,7 +98,7 @@ def test_a_running_service_follows_the_file_and_shuts_when_it_is_gone(tokens):
 # Coming in
 
 
-def test_without_a_token_all_stays_open_under_the_name_that_is_claimed(filled):
+def test_without_tokens_requests_are_accepted_under_their_claimed_name(filled):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.get("/api/v1/session").json()["role"] == "claimed"
         assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "mallory"
@@ -158,7 +158,7 @@ def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
 
 
 @pytest.mark.parametrize("how", ["revoked", "expired"])
-def test_a_token_that_opens_no_more_is_refused_by_its_name(filled, tokens, how):
+def test_an_invalidated_token_is_rejected_with_its_name(filled, tokens, how):
     _, text = create_token(tokens, "ann", "admin", days=1e-6 if how == "expired" else None)
     if how == "revoked":
         revoke_token(tokens, "ann")
@@ -171,7 +171,7 @@ def test_a_token_that_opens_no_more_is_refused_by_its_name(filled, tokens, how):
     assert f"The token of ann is {how}." in answer.text
 
 
-def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled, tokens):
+def test_wrong_tokens_are_rate_limited_and_a_valid_one_is_accepted(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answers = [api.get(DUE, headers={"Authorization": "Bearer x"}) for _ in range(MOST_WRONG + 5)]
@@ -241,7 +241,7 @@ def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
         "C:%5ctokens.json",
     ],
 )
-def test_no_path_leads_out_of_the_page_s_files(filled, tokens, path):
+def test_no_path_escapes_the_files_of_the_page(filled, tokens, path):
     create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answer = api.get(httpx.URL(f"{service.url}static/{path}"))
@@ -258,7 +258,7 @@ def test_an_oversized_cookie_is_refused(filled):
 @pytest.mark.parametrize(
     ("headers", "status"), [({"Host": "evil.example"}, 400), ({"Origin": "http://evil.example"}, 403)]
 )
-def test_a_token_does_not_open_to_a_foreign_host_or_origin(filled, tokens, headers, status):
+def test_a_token_is_rejected_for_a_foreign_host_or_origin(filled, tokens, headers, status):
     _, text = create_token(tokens, "ann", "admin")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         bearer = {"Authorization": f"Bearer {text}"}
@@ -368,7 +368,7 @@ def test_forwarded_addresses_are_ignored_without_a_configured_proxy(filled, toke
     assert [deed.source for deed in deeds(filled.folder)] == ["127.0.0.1"]
 
 
-def test_doors_without_locks_are_refused_at_the_start(tmp_path, tokens):
+def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_path, tokens):
     web = WebSettings(host="0.0.0.0", host_names=("lab.example.org",), **ENCRYPTED)
     with pytest.raises(UsageError, match=r"holds no valid access token.*solimon token create") as refused:
         refuse_open_doors(web, tmp_path)
@@ -410,7 +410,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
     assert ([number for number, _ in found], before) == ([2, 1], None)
 
 
-def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
+def test_pages_of_the_audit_log_are_complete(tmp_path):
     audit = Audit(tmp_path)
     for number in range(25):
         audit.tell(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
@@ -451,7 +451,7 @@ def audited(tmp_path):
         ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
     ],
 )
-def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkeypatch, query, found):
+def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
     monkeypatch.setattr("daq_service.commands.audit.newest_lines", partial(newest_lines, most_lines=7))
     seen, cursor = [], {}
     while True:
@@ -474,13 +474,13 @@ def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkey
         ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
     ],
 )
-def test_a_filter_of_the_audit_that_means_nothing_is_refused(audited, query, words):
+def test_an_invalid_audit_filter_is_rejected(audited, query, words):
     answer = audited.get("/api/v1/audit", params=query)
     assert answer.status_code == 422
     assert words in answer.json()["detail"]
 
 
-def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, tokens):
+def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, tokens):
     _, text = create_token(tokens, "ann", "operator")
     bearer = {"Authorization": f"Bearer {text}"}
     foreign = {"Host": f"{'evil.' * 200}example"}

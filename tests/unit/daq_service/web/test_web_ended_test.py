@@ -32,7 +32,7 @@ def ordered(api, kind, author="Ada", **arguments):
     return api.post("/api/v1/commands", json={"kind": kind, "author": author, "arguments": arguments})
 
 
-def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
+def test_an_acknowledgement_is_done_within_its_request(ended):
     filled, api = ended
     answer = api.post("/api/v1/alarms/1/acknowledge", json={"author": "Ada", "note": "seen"})
     assert (answer.status_code, answer.json()["state"], answer.json()["result"]) == (
@@ -57,7 +57,7 @@ def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
 
 
 @pytest.mark.parametrize("finished", [True, False])
-def test_other_orders_are_refused_with_what_would_help(ended, finished):
+def test_other_commands_are_rejected_with_a_remedy(ended, finished):
     filled, api = ended
     if not finished:  # killed: nothing tells that it has ended but the lock
         again = FilledFolder(filled.folder, filled.settings, begun=True)
@@ -70,7 +70,7 @@ def test_other_orders_are_refused_with_what_would_help(ended, finished):
     assert api.get("/api/v1/commands/1").status_code == 404
 
 
-def test_a_recorder_that_lingers_is_given_the_order(ended):
+def test_a_finished_recorder_that_still_runs_gets_the_command(ended):
     filled, api = ended
     lingering = FilledFolder(filled.folder, filled.settings, begun=True)
     lingering.say("schedule_done")
@@ -78,7 +78,7 @@ def test_a_recorder_that_lingers_is_given_the_order(ended):
     lingering.close()
 
 
-def test_a_folder_that_cannot_be_written_is_served_and_says_so(ended, monkeypatch):
+def test_a_read_only_folder_is_served_and_rejects_commands(ended, monkeypatch):
     filled, api = ended
     opened = Path.open
 
@@ -98,7 +98,7 @@ def shelve(api, **body):
     return ordered(api, "shelve_alarm", **{"alarm_id": 1, "for_h": 8.0, "reason": "known", **body})
 
 
-def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
+def test_a_shelved_alarm_is_counted_separately_with_its_expiry(ended):
     _, api = ended
     assert shelve(api).json()["state"] == "done"
     alarm = api.get("/api/v1/alarms/1").json()

@@ -162,7 +162,7 @@ def test_streams_of_all_tests_share_one_budget(several, monkeypatch):
     assert (refused.status_code, refused.json()["type"]) == (503, "urn:solimon:problem:too-many-streams")
 
 
-def test_metrics_bear_the_name_of_the_test(several):
+def test_metrics_have_the_name_of_the_test(several):
     text = several.client.get("/metrics").text
     families = {family.name: family for family in text_string_to_metric_families(text)}
     hours = {s.labels["test"]: s.value for s in families["solimon_test_hours"].samples}
@@ -179,7 +179,7 @@ def test_metrics_bear_the_name_of_the_test(several):
     )
 
 
-def test_an_order_is_audited_in_the_folder_of_its_test(several):
+def test_a_command_is_audited_in_the_folder_of_its_test(several):
     order = {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}}
     assert several.client.post("/tests/hole-nr-2/api/v1/commands", json=order).status_code == 202
     (entry, *_) = several.client.get("/tests/hole-nr-2/api/v1/audit").json()["items"]
@@ -298,7 +298,7 @@ def inside(service):
     return service.app.state.tests
 
 
-def test_a_test_is_open_while_it_is_used_and_a_few_of_the_last_ones_stay(several, tmp_path, monkeypatch):
+def test_used_and_a_few_recent_tests_stay_open(several, tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.multi_test.open_tests.MOST_IDLE", 1)
     app = app_of(several.hole.folder, several.twin.folder, own=tmp_path)
     with served_app(app) as service, service.client() as client, service.client() as reader:
@@ -323,7 +323,7 @@ def test_a_test_is_open_while_it_is_used_and_a_few_of_the_last_ones_stay(several
         assert client.get("/tests/hole-nr-2/api/v1/info").json()["name"] == HOLE.name
 
 
-def test_a_test_whose_alarms_are_sent_elsewhere_is_open_from_the_start_and_stays(several, tmp_path):
+def test_a_test_with_receivers_is_open_from_the_start(several, tmp_path):
     (tmp_path / "watched").mkdir()
     watched = FilledFolder(tmp_path / "watched", notifying())
     watched.add_set(0, stored=False)
@@ -382,7 +382,7 @@ def test_a_test_whose_own_service_asks_for_tokens_is_not_shown_without_any(sever
         assert client.get("/tests/hole-nr-2/api/v1/info").status_code == 200
 
 
-def test_the_guard_stands_before_every_test(several):
+def test_the_token_check_applies_to_every_test(several):
     for path in ("/api/v1/tests", "/tests/hole-nr-2/api/v1/info"):
         assert several.client.get(path, headers={"Host": "evil.example"}).status_code == 400
     order = {"kind": "hold", "arguments": {"note": "x"}}

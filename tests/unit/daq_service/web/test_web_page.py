@@ -46,7 +46,7 @@ def test_the_page_embeds_api_responses_with_any_characters(filled):
     assert answer.headers["cache-control"] == "no-store"
 
 
-def test_where_a_token_is_asked_for_it_brings_nothing_of_the_test_without_one(filled):
+def test_a_page_without_a_required_token_has_no_test_data(filled):
     _, text = create_token(filled.folder / "tokens.json", "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         for headers in ({}, {"Authorization": "Bearer wrong"}):
@@ -57,7 +57,7 @@ def test_where_a_token_is_asked_for_it_brings_nothing_of_the_test_without_one(fi
         assert found["/api/v1/session"]["name"] == "ann"
 
 
-def test_pages_share_answers_for_a_while(filled, monkeypatch):
+def test_pages_share_cached_responses(filled, monkeypatch):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         kept_s = {"hour": math.inf, "moment": -1.0}
 

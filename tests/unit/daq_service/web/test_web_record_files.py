@@ -58,7 +58,7 @@ def read_npz(content):
         return dict(arrays)
 
 
-def test_every_format_has_the_records_and_what_is_known_of_them(api, filled, service):
+def test_every_format_has_the_records_and_their_metadata(api, filled, service):
     asked = {"from_h": 1.0, "to_h": 2.0}
     with client.open(service.url) as test:
         waves = test.waveforms("B", from_h=1.0, to_h=2.0)
@@ -153,7 +153,7 @@ def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, me
     assert message in answer.text
 
 
-def test_what_is_too_much_is_refused_with_the_limit_and_what_helps(api, filled, monkeypatch):
+def test_a_too_large_export_is_rejected_with_limit_and_remedy(api, filled, monkeypatch):
     record, *_ = [r for r in filled.records(1) if r.key.position == "B" and r.key.shot_index == 0]
     one_set = 8 * SHOTS * record.waveform.counts.size
     monkeypatch.setattr(record_files, "MOST_BYTES", one_set)

@@ -129,7 +129,7 @@ def page(filled, tmp_path_factory):
     return Page(target.read_bytes())
 
 
-def test_the_tables_have_the_figures_of_the_client(filled, page):
+def test_the_tables_have_the_numbers_of_the_client(filled, page):
     with client.open(filled.folder) as test:
         for position, names in {"A": ["Wall thickness"], **dict.fromkeys("BCD", list(OF_SERIES)[:3])}.items():
             rows = {row[0]: row[1:] for row in page.tables[f"Position {position}"]}
@@ -231,7 +231,7 @@ def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
     assert any(NOTE in word for word in page.words), "as it was written, and no markup"
 
 
-def test_it_reads_alone_and_every_name_is_there_once(page):
+def test_the_report_is_self_contained_with_unique_ids(page):
     assert page.loaded == []
     assert len(set(page.ids)) == len(page.ids)
 
@@ -250,7 +250,7 @@ def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypat
     assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in later_page.words
 
 
-def test_some_hours_are_chosen(filled, tmp_path):
+def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
     made(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
     part = Page((tmp_path / "part.html").read_bytes())
     rows = {row[0]: row for row in part.tables["Position B"]}
@@ -264,7 +264,7 @@ def test_some_hours_are_chosen(filled, tmp_path):
     assert [row[3] for row in part.tables["Annotations"][1:]] == ["couplant <renewed>"]
 
 
-def test_a_configuration_leads_to_its_folder(filled, tmp_path):
+def test_a_configuration_selects_its_folder(filled, tmp_path):
     config = tmp_path / "test.toml"
     config.write_text(f"[storage]\nfolder = {json.dumps(str(filled.folder))}\n")
     answer = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)

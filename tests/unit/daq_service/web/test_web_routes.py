@@ -91,7 +91,7 @@ def get(api, path):
         ("/api/v1/waveforms/A/0/0?points=200", models.WaveformAnswer),
     ],
 )
-def test_answer_holds_to_its_documented_shape(api, path, model):
+def test_a_response_has_its_documented_shape(api, path, model):
     answer = api.get(path)
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "application/json"
@@ -299,7 +299,7 @@ def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
 
 
 @pytest.mark.parametrize("query", ["", "?fields=tof_pp_s,outlier", "?points=30", "?fields=reason"])
-def test_no_trend_is_beyond_its_bytes(api, monkeypatch, query):
+def test_no_trend_exceeds_its_size_limit(api, monkeypatch, query):
     monkeypatch.setattr(trends, "MOST_BYTES", 6000)
     trend = get(api, f"/api/v1/trends/B{query}")
     length = len(json.dumps([trend["columns"], trend["bins"]], separators=(",", ":")))
@@ -348,7 +348,7 @@ def test_transducers_have_their_state(api):
     assert states["B"]["last_set"]["set_index"] == N_SETS - 1
 
 
-def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
+def test_data_of_a_missing_recorder_are_stale(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     filled.recorder_ends()
@@ -377,7 +377,7 @@ def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
     filled.close()
 
 
-def test_data_of_a_retired_transducer_age_on(tmp_path):
+def test_data_of_a_disabled_transducer_continue_to_age(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     for index in range(2):
         filled.add_set(index, stored=False)
@@ -431,7 +431,7 @@ def test_alarm_filter_by_activity(api):
         "/static/nothing.js",
     ],
 )
-def test_what_is_not_there_is_404(api, path):
+def test_an_unknown_item_is_404(api, path):
     # A raw request target: httpx would tidy the dots away.
     answer = api.send(httpx.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
     assert answer.status_code == 404, answer.text
@@ -511,7 +511,7 @@ def test_info_shows_the_requested_action_and_its_remaining_time(tmp_path):
     filled.close()
 
 
-def test_info_names_the_instruments_of_a_mixed_rig_and_who_they_are(tmp_path):
+def test_info_names_the_instruments_of_a_mixed_rig(tmp_path):
     rig = {
         "kind": "mixed",
         "instruments": {"scope": {"kind": "lab-scope", "range_v": 5.0}, "hammer": {"kind": "lab-hammer"}},

@@ -46,7 +46,7 @@ def test_port_in_use_is_a_clear_error(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
-def test_other_addresses_are_not_listened_at_without_locks(host):
+def test_other_addresses_need_authentication(host):
     with pytest.raises(UsageError, match="without tokens and encryption"):
         bind(host, 0)
 
@@ -111,7 +111,7 @@ def everything_from(client):
 @pytest.mark.parametrize(
     "request_start", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"]
 )
-def test_headers_that_do_not_come_end_the_connection(filled, monkeypatch, request_start):
+def test_missing_headers_end_the_connection(filled, monkeypatch, request_start):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(request_start)
@@ -127,7 +127,7 @@ def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, mon
     assert b"HTTP/1.1 408 " in answers
 
 
-def test_what_is_being_answered_is_not_broken_off_by_a_slow_next_request(filled, monkeypatch):
+def test_a_response_is_not_interrupted_by_a_slow_next_request(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
     waited, looks = BoundedHttp._waited, []
     monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (looks.append(self), waited(self)))
@@ -150,7 +150,7 @@ def test_headers_without_end_are_refused(filled, ended):
     assert b"%d" % LARGEST_HEADERS_BYTES in answer
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(filled, monkeypatch):
+def test_a_missing_body_is_not_waited_for(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.guards.BODY_WITHIN_S", 0.05)
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{")
@@ -171,7 +171,7 @@ def test_more_connections_than_are_served_get_a_503(filled, monkeypatch):
             until(lambda: later.get("healthz").status_code == 200, "a place")
 
 
-def test_small_answers_are_not_held_back():
+def test_small_responses_are_sent_without_delay():
     """Nagle's algorithm is off on each connection that asyncio accepts here."""
 
     async def accepted_with(listener):

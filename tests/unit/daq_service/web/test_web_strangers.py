@@ -75,7 +75,7 @@ def test_a_malformed_origin_is_foreign(api, origin):
         ("Sec-Fetch-Site", ("same-origin", "cross-site")),
     ],
 )
-def test_a_header_that_must_be_one_is_refused_twice(service, name, values):
+def test_a_duplicate_single_header_is_rejected(service, name, values):
     lines = [f"{name}: {value}" for value in values] + ([] if name == "Host" else ["Host: 127.0.0.1"])
     with connection_to(service) as client:
         client.sendall(
@@ -98,7 +98,7 @@ def test_a_header_that_must_be_one_is_refused_twice(service, name, values):
         ("files/set_1_a.h5", {"Range": "bytes=\xb2-"}),
     ],
 )
-def test_a_malformed_header_is_no_fault_of_the_service(api, path, headers):
+def test_a_malformed_header_is_a_client_error(api, path, headers):
     encoded = {name: value.encode("latin-1") for name, value in headers.items()}
     with api.stream("GET", f"/api/v1/{path}", headers=encoded) as answer:
         assert answer.status_code < 500
@@ -115,7 +115,7 @@ BODIES = [
 
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: repr(body[:20]))
-def test_a_malformed_body_is_no_fault_of_the_service(api, body):
+def test_a_malformed_body_is_a_client_error(api, body):
     answer = api.post("/api/v1/commands", content=body, headers={"Content-Type": "application/json"})
     assert 400 <= answer.status_code < 500
 
@@ -143,7 +143,7 @@ def far(tmp_path):
         ("/api/v1/info", {"Sec-Fetch-Site": "none"}, 401),
     ],
 )
-def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, headers, status):
+def test_a_cross_site_page_reaches_only_the_token_check(far, path, headers, status):
     """The response is 401: the request reaches the token check only."""
     with served(FAR, far) as service, service.client() as api:
         sent = {"Host": "lab.example.org", "X-Forwarded-Proto": "https", "Sec-Fetch-Site": "cross-site"}
@@ -179,7 +179,7 @@ def test_every_command_needs_a_name():
 # Tokens
 
 
-def test_lost_tokens_open_nothing_after_a_restart(tmp_path, caplog):
+def test_a_lost_token_file_rejects_all_after_a_restart(tmp_path, caplog):
     path = tmp_path / "tokens.json"
     create_token(path, "ann", "admin")
     path.unlink()
@@ -189,7 +189,7 @@ def test_lost_tokens_open_nothing_after_a_restart(tmp_path, caplog):
     assert KnownTokens(path).still_opens("bob", "admin")
 
 
-def test_revoking_where_no_token_was_made_asks_for_none(tmp_path):
+def test_revoking_without_tokens_does_not_require_tokens(tmp_path):
     path = tmp_path / "tokens.json"
     with pytest.raises(server.UsageError, match="no token 'ann'"):
         revoke_token(path, "ann")
@@ -242,7 +242,7 @@ def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, l
         assert not _ended(stream), "its request was complete"
 
 
-def test_beyond_all_connections_the_one_that_waits_longest_is_closed(filled, monkeypatch):
+def test_above_the_connection_limit_the_longest_idle_one_is_closed(filled, monkeypatch):
     monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
         clients = [opened.enter_context(connection_to(service)) for _ in range(4)]

@@ -97,7 +97,7 @@ def test_only_the_chosen_topics_arrive(filled, service):
     assert {event.event for event in arrived} == {"verdicts", "thickness"}
 
 
-def test_too_long_an_absence_is_a_gap(filled):
+def test_a_too_old_event_id_is_a_gap(filled):
     ids = stored_ids(filled)
     assert len(ids) > 6
     app = create_app(filled.settings, filled.folder)
@@ -202,7 +202,7 @@ def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
     run_with_hub(tmp_path, body, ring_events=8)
 
 
-def test_quiet_stream_beats(tmp_path):
+def test_a_quiet_stream_sends_heartbeats(tmp_path):
     async def body(source, context, hub):
         client = frames(context, hub, frozenset({"alarms"}), None)
         await anext(client)
@@ -215,7 +215,7 @@ def test_quiet_stream_beats(tmp_path):
     run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
 
 
-def test_a_busy_stream_beats_too(tmp_path):
+def test_a_busy_stream_sends_heartbeats(tmp_path):
     """A page counts heartbeats, not events, as it does not know every topic."""
 
     async def body(source, context, hub):
@@ -230,7 +230,7 @@ def test_a_busy_stream_beats_too(tmp_path):
     run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
 
 
-def test_a_stream_beats_before_the_catalogue_can_be_read(tmp_path):
+def test_a_stream_sends_heartbeats_before_the_catalogue_is_readable(tmp_path):
     class Unreadable(InventedEvents):
         def last_id(self):
             raise StorageError("locked")
@@ -284,7 +284,7 @@ def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
     run_with_hub(tmp_path, body, poll_interval_s=60.0, heartbeat_interval_s=0.02)
 
 
-def test_end_of_the_service_says_bye(tmp_path):
+def test_the_end_of_the_service_sends_bye(tmp_path):
     async def body(source, context, hub):
         client = frames(context, hub, None, None)
         await anext(client)
@@ -313,7 +313,7 @@ def test_each_event_is_encoded_once_for_all_clients(tmp_path):
     run_with_hub(tmp_path, body)
 
 
-def test_many_who_come_back_together_read_the_catalogue_once(tmp_path):
+def test_simultaneous_reconnections_read_the_catalogue_once(tmp_path):
     async def body(source, context, hub):
         while hub.complete_after is None:
             await hub.changed()
@@ -335,7 +335,7 @@ def test_many_who_come_back_together_read_the_catalogue_once(tmp_path):
     run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
 
 
-def test_a_client_far_behind_lets_others_go_first(tmp_path):
+def test_a_client_far_behind_does_not_delay_others(tmp_path):
     async def body(source, context, hub):
         behind, other = frames(context, hub, None, 0), []
 
@@ -365,7 +365,7 @@ def test_too_many_streams_are_rejected_with_503(filled, service, monkeypatch):
         assert answer.headers["retry-after"] == "1"
 
 
-def test_streams_that_begin_together_let_another_answer_go_first():
+def test_streams_that_start_together_do_not_delay_another_response():
     started = []
 
     async def app(scope, receive, send):

@@ -175,7 +175,7 @@ def test_every_table_is_the_listing_in_every_format(api, table):
             assert group[column.name].attrs.get("units", "") == column.unit
 
 
-def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
+def test_a_selection_has_its_columns_and_their_keys(api):
     asked = {"position": "B", "from_h": 5.0, "to_h": 10.0}
     rows = listed(api, "features", **asked)
     assert len(rows) == 10
@@ -195,7 +195,7 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
     assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
 
 
-def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
+def test_nested_values_have_their_own_columns(api):
     assessments = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
     assert assessments["limit_chart"].tolist() == [LIMIT_CHART] * len(assessments)
     assert assessments["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
@@ -216,7 +216,7 @@ def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
     assert len(later) == 0
 
 
-def test_a_shelf_that_has_expired_is_none_in_a_file(filled, api):
+def test_an_expired_shelf_is_absent_in_a_file(filled, api):
     stored = {row.suppressed for row in filled.catalogue.rows(AlarmRow)}
     assert stored == {"shelved"}, "nobody has noted yet that one is over"
     alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv")), keep_default_na=False)
@@ -268,7 +268,7 @@ def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, me
     assert message in answer.text
 
 
-def test_no_answer_is_without_a_bound(api, monkeypatch):
+def test_every_response_is_bounded(api, monkeypatch):
     monkeypatch.setattr(tables, "MOST_ROWS", 100)
     answer = api.get("/api/v1/tables/features?format=npz")
     assert answer.status_code == 422

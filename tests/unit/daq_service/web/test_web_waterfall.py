@@ -89,7 +89,7 @@ def by_hand(filled, position, header, index):
         ("A", "&from_s=0&to_s=4e-6"),
     ],
 )
-def test_a_picture_holds_the_extremes_of_the_records(api, filled, position, query):
+def test_a_waterfall_has_the_extremes_of_the_records(api, filled, position, query):
     header, planes = read(api.get(f"/api/v1/waterfall/{position}?rows=50{query}"))
     stored = [index for index in range(N_SETS) if index not in MISSED]
     assert header["first_set"] == header["last_set"] == stored
@@ -151,7 +151,7 @@ def renewed_at(filled, position, first_set):
     return renewed(position, filled.settings, None, **asked)[1]
 
 
-def test_json_says_the_same(api):
+def test_the_json_format_has_the_same_values(api):
     header, planes = read(api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo"))
     answer = api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo&format=json").json()
     assert {name: answer[name] for name in header} == header
@@ -160,7 +160,7 @@ def test_json_says_the_same(api):
     np.testing.assert_array_equal(np.array(answer["maximum"], dtype=np.float32), planes[1])
 
 
-def test_what_a_client_has_is_not_sent_again(api):
+def test_an_unchanged_response_is_not_sent_again(api):
     first = api.get("/api/v1/waterfall/B?rows=7")
     again = api.get("/api/v1/waterfall/B?rows=7", headers={"If-None-Match": first.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
@@ -185,7 +185,7 @@ def test_what_a_client_has_is_not_sent_again(api):
         ("B?zoom=3", 422, "zoom"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_with_the_way_out(api, path, status, word):
+def test_an_impossible_waterfall_is_rejected_with_a_remedy(api, path, status, word):
     answer = api.get(f"/api/v1/waterfall/{path}")
     assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
     assert word in answer.text
@@ -198,7 +198,7 @@ def test_a_service_that_closes_reads_no_more_records(filled):
     assert (header["rows"], header["pending_sets"]) == (0, N_SETS - len(MISSED))
 
 
-def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
+def test_without_records_there_is_no_waterfall(tmp_path):
     folder = FilledFolder(tmp_path, Settings())
     folder.add_set(0, stored=False)
     with served(folder.settings, folder.folder) as service, service.client() as client:
@@ -207,7 +207,7 @@ def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
     assert (answer.status_code, answer.content) == (204, b"")
 
 
-def test_tiles_draw_the_same_and_the_service_writes_none(api, filled):
+def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     queries = ["B?rows=50", "B?rows=3&align=isw", "A?columns=9&align=first_echo", "D?as=difference"]
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
     assert not (filled.folder / TILES_FOLDER).exists()

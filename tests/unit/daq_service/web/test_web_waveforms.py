@@ -79,7 +79,7 @@ def test_all_records_of_a_set_come_in_one_answer(api, filled, position, shots):
         assert record["pretrigger_samples"] == waveform.pretrigger_samples
 
 
-def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
+def test_marks_are_within_their_search_windows(tmp_path):
     settings = Settings(ultrasound={"delay_s": 1e-6})
     folder = FilledFolder(tmp_path, settings)
     folder.add_set(0)
@@ -156,7 +156,7 @@ def test_a_record_that_the_client_has_is_not_read_again(service, api, filled, fo
     assert known.content == b""
 
 
-def test_octets_are_the_counts_with_what_makes_them_volts(api, filled):
+def test_octets_are_counts_with_their_calibration(api, filled):
     answer = api.get("/api/v1/waveforms/B/0/0?format=octets")
     waveform = stored(filled, "B", 0)
     counts = np.frombuffer(answer.content, dtype=answer.headers["x-dtype"])
@@ -191,7 +191,7 @@ def test_extremes_of_each_bin_survive(values, points):
 # Live
 
 
-def test_live_picture_is_the_recorders_file(api, filled):
+def test_the_live_figure_is_the_file_of_the_recorder(api, filled):
     answer = api.get("/api/v1/waveforms/live/B")
     assert answer.content == (filled.folder / "live" / "B.bin").read_bytes()
     header, counts = live_record(answer.content)
@@ -208,7 +208,7 @@ def test_position_without_picture_is_404(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"\xff\xff\xff\xff{}", b"\x02\0\0\0[]", struct.pack("<I", 400) + b"{}"]
 )
-def test_damaged_picture_is_a_problem(content):
+def test_a_corrupt_live_figure_is_a_problem(content):
     with pytest.raises(Problem) as caught:
         decode_header(content)
     assert caught.value.status == 503

@@ -68,11 +68,11 @@ def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> N
     assert exit_code(checks) == code
 
 
-def test_what_is_ok_keeps_no_remedy() -> None:
+def test_a_passed_check_has_no_remedy() -> None:
     assert Check(area="rig", name="coils", found="cool", remedy="let them cool").remedy == ""
 
 
-def test_what_is_not_ok_needs_a_remedy() -> None:
+def test_a_failed_check_needs_a_remedy() -> None:
     with pytest.raises(ValueError, match="needs a remedy"):
         Check(area="rig", name="it", state="warn", found="something")
 
@@ -80,14 +80,14 @@ def test_what_is_not_ok_needs_a_remedy() -> None:
 # Software -------------------------------------------------------------------------------------------
 
 
-def test_the_packages_of_this_environment_are_good() -> None:
+def test_the_packages_of_this_environment_pass() -> None:
     checks = by_name(software_checks(PACKAGES))
     assert {check.state for check in checks.values()} == {"ok"}
     assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
     assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
 
 
-def test_a_rig_without_boards_asks_for_none_of_their_packages() -> None:
+def test_a_rig_without_boards_needs_no_board_packages() -> None:
     (twin,) = instruments_of(Settings())
     assert list(twin.kind.packages(twin.parameters)) == []
     assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(())))
@@ -155,9 +155,7 @@ def answers(**by_program: str | None) -> Any:
         ("darwin", {}, "warn"),
     ],
 )
-def test_whether_the_clock_is_synchronised_and_how_that_was_found(
-    system: str, answer: dict[str, str], state: str
-) -> None:
+def test_the_clock_check_has_state_and_source(system: str, answer: dict[str, str], state: str) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))[
         "clock synchronised"
     ]
@@ -177,13 +175,13 @@ def test_whether_the_clock_is_synchronised_and_how_that_was_found(
         ("win32", {}, "warn"),
     ],
 )
-def test_whether_the_computer_would_sleep(system: str, answer: dict[str, str], state: str) -> None:
+def test_the_sleep_check_follows_the_power_settings(system: str, answer: dict[str, str], state: str) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
 
 
-def test_it_says_what_would_let_the_computer_sleep() -> None:
+def test_the_sleep_check_names_the_settings() -> None:
     ask = answers(systemctl="static", busctl='s "suspend"')
     found = by_name(machine_checks("wall", FOLDER, ask=ask, system="linux"))["sleep"]
     assert "not switched off (systemctl, IdleAction of logind is suspend)" in found.found
@@ -219,7 +217,7 @@ KEY = r"HKEY_LOCAL_MACHINE\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
         ("darwin", {}, None, None),
     ],
 )
-def test_whether_updates_restart_the_computer(
+def test_the_update_check_follows_the_restart_settings(
     system: str, answer: dict[str, str], restarts: bool | None, waits: bool | None
 ) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
@@ -247,7 +245,7 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
         ("darwin", {}, None, "not asked"),
     ],
 )
-def test_whether_a_scanner_holds_the_data_s_files(
+def test_the_scanner_check_follows_the_exclusions(
     system: str, answer: dict[str, str], left_alone: bool | None, words: str
 ) -> None:
     folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
@@ -257,14 +255,14 @@ def test_whether_a_scanner_holds_the_data_s_files(
     assert str(folder) in found.remedy or found.state == "ok"
 
 
-def test_on_simulated_time_none_of_it_matters() -> None:
+def test_on_simulated_time_computer_checks_are_skipped() -> None:
     checks = by_name(machine_checks("simulated", FOLDER, ask=answers(), system="linux"))
     skipped = {name for name, one in checks.items() if one.state == "skipped"}
     assert skipped == {"clock synchronised", "sleep", "updates", "antivirus"}
 
 
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
-def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) -> None:
+def test_a_clock_step_during_the_check_is_detected(step_s: float, state: str) -> None:
     checks = machine_checks(
         "simulated",
         FOLDER,
@@ -274,7 +272,7 @@ def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) ->
     assert by_name(checks)["monotonic clock"].state == state
 
 
-def test_a_program_that_is_not_there_or_fails_is_no_answer() -> None:
+def test_a_missing_or_failing_program_gives_no_answer() -> None:
     assert ask_system(["solimon-no-such-program"]) is None
     assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
     assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
@@ -287,7 +285,7 @@ AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_f
 """However full this machine's volume is."""
 
 
-def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
+def test_a_new_folder_passes_and_is_not_created(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
     assert {one.state for one in checks.values()} == {"ok"}
@@ -295,7 +293,7 @@ def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
 
 
-def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Path) -> None:
+def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
     assert run(settings, tmp_path)
     checks = by_name(storage_checks(settings, tmp_path))
@@ -328,13 +326,13 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_folder_with_somebody_s_files_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_foreign_files_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
     assert (found.state, "thesis.tex" in found.found) == ("fail", True)
 
 
-def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+def test_a_file_at_the_path_of_the_folder_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("precious")
     found = by_name(storage_checks(Settings(), tmp_path / "file" / "data"))["data folder: writable"]
     assert (found.state, "is a file" in found.found) == ("fail", True)
@@ -422,7 +420,7 @@ def test_no_recorder_starts_while_the_doctor_strikes(
     assert started(folder) == ""
 
 
-def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folder_free(
+def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
@@ -441,7 +439,7 @@ def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folde
     assert seen == [""]
 
 
-def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
+def test_an_unreadable_lock_counts_as_a_running_recorder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It may be the recorder of another user, whose boards must not be used."""
@@ -455,7 +453,7 @@ def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
     assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
 
 
-def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path: Path) -> None:
     with held_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
@@ -492,7 +490,7 @@ def test_a_driver_that_was_not_reached_has_no_version() -> None:
     assert "driver: version" not in looked(Found(driver_version=""))
 
 
-def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
+def test_a_faulty_board_of_another_program_is_no_failure() -> None:
     broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
     checks = looked(
         Found(
@@ -514,14 +512,14 @@ def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
     )
 
 
-def test_noise_goes_into_the_values() -> None:
+def test_the_noise_is_in_the_values() -> None:
     finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
     found = looked(Found(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
     assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
 
 
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
-def test_a_coil_that_is_on_too_often_is_worth_a_word(interval_s: float, state: str) -> None:
+def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s: float, state: str) -> None:
     found = looked(Found(), shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
@@ -535,7 +533,7 @@ def coarse(folder: Path) -> Path:
     return path
 
 
-def test_the_twin_is_struck_the_way_of_every_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_twin_is_struck_like_a_normal_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike="B", as_json=True)
     out = capsys.readouterr()
     report = json.loads(out.out)

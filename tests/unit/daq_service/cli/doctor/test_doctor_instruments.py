@@ -34,7 +34,7 @@ def rig(tmp_path: Path) -> Iterator[SerialRig]:
 
 
 @on_terminals
-def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
+def test_a_supply_is_queried_and_never_switched(rig: SerialRig) -> None:
     checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "DC SUPPLY DOUBLE" in checks["supply: identity"].found
@@ -62,7 +62,7 @@ def test_a_tripped_protection_fails(rig: SerialRig) -> None:
 
 
 @on_terminals
-def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: SerialRig) -> None:
+def test_another_instrument_on_the_line_fails_after_one_query(rig: SerialRig) -> None:
     checks = looked(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
     assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
     assert exit_code(checks) == 3
@@ -81,7 +81,7 @@ def test_the_climate_is_read(rig: SerialRig) -> None:
 
 
 @needs_niscope
-def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
+def test_a_probe_board_is_named_and_its_record_checked() -> None:
     with met_brain(description()):
         checks = by_name(looked(NISCOPE, parameters()))
     assert {check.state for check in checks.values()} == {"ok"}
@@ -93,7 +93,7 @@ def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
 
 
 @needs_niscope
-def test_an_echo_beyond_its_range_is_worth_a_word() -> None:
+def test_an_echo_above_its_range_causes_a_warning() -> None:
     with met_brain(description()):
         checks = by_name(looked(NISCOPE, parameters(range_v=0.2)))
     assert checks["probe A: record"].state == "warn"
@@ -112,7 +112,7 @@ def test_a_missing_board_hides_no_other() -> None:
 
 
 @on_terminals
-def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> None:
+def test_a_protection_that_cannot_be_queried_causes_a_warning(tmp_path: Path) -> None:
     with SerialRig(tmp_path, dialect="korad", way="tcp") as rig:
         checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert checks["supply: identity"].found.startswith("KORAD, KA3005P")

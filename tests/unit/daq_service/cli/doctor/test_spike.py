@@ -71,9 +71,7 @@ def check(monkeypatch, parameters, found):
         ),
     ],
 )
-def test_state_and_remedy_follow_from_what_was_seen_and_what_is_configured(
-    monkeypatch, parameters, survey, state, remedy
-):
+def test_state_and_remedy_follow_from_spike_and_configuration(monkeypatch, parameters, survey, state, remedy):
     result = check(monkeypatch, parameters, survey)
     assert result.state == state
     assert remedy in result.remedy

@@ -62,7 +62,7 @@ def refused(*arguments):
     return str(caught.value)
 
 
-def test_every_format_says_the_same(tables):
+def test_every_format_has_the_same_result(tables):
     (npy,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
     (csv_,) = assessed_sensors(tables[".csv"], "--baseline-where", "part=healthy")
     (arrow,) = assessed_sensors(tables[".parquet"], "--baseline-where", "part=healthy")
@@ -87,7 +87,7 @@ def test_the_paper_s_limit_is_shown_with_its_actual_false_alarm_rate(tables):
     assert all("%" not in line for name, line in experiment_text.items() if name != "paper_mean_3sd")
 
 
-def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
+def test_features_baseline_mark_and_rows_can_be_selected(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["healthy,a,b,c", *lines]), encoding="utf-8")
@@ -173,13 +173,13 @@ def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
     assert good["refused"] is None
 
 
-def test_a_parquet_file_with_a_name_twice_is_refused(tmp_path, vectors):
+def test_a_parquet_file_with_a_duplicate_name_is_rejected(tmp_path, vectors):
     parquet.write_table(pa.table(list(vectors[:, :2].T), names=["a", "a"]), tmp_path / "a.parquet")
     (bad,) = assessed_sensors(tmp_path / "a.parquet", "--baseline-rows", 20)
     assert bad["refused"].endswith("a.parquet: each column must be named once; they are 'a,a'")
 
 
-def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it(tmp_path, vectors):
+def test_an_empty_feature_is_named_when_it_prevents_a_baseline(tmp_path, vectors):
     text = "\n".join(["a,b,c", *(f"{a},{b}," for a, b, *_ in vectors.tolist())])
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
@@ -189,7 +189,7 @@ def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it
 
 @pytest.mark.parametrize("absurd", [1e120, -1e200, 1e308])
 @pytest.mark.parametrize("fleet", [[], ["--fleet"]])
-def test_an_absurd_value_ends_no_run(tmp_path, tables, vectors, absurd, fleet):
+def test_an_absurd_value_rejects_only_its_sensor(tmp_path, tables, vectors, absurd, fleet):
     for row in (10, 80):
         cells = vectors.copy()
         cells[row, 2] = absurd
@@ -242,12 +242,12 @@ def test_objects_are_not_unpickled(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "words"), [("a.txt", "not .txt"), ("a", "one without ending")])
-def test_a_file_of_another_kind_is_the_wrong_thing_to_ask_for(tmp_path, name, words):
+def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, words):
     (tmp_path / name).write_text("1", encoding="utf-8")
     assert words in refused(tmp_path / name, "--baseline-rows", 20)
 
 
-def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tmp_path, tables):
+def test_a_missing_file_causes_an_error_after_the_other_results(tmp_path, tables):
     answer = CliRunner().invoke(
         cli, ["assess", str(tmp_path / "none.csv"), str(tables[".npy"]), "--baseline-rows", "40", "--json"]
     )
@@ -261,7 +261,7 @@ def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tm
     ("separator", "decimal", "named"),
     [(";", ",", True), ("\t", ".", True), (", ", ".", True), (",", ".", False), (";", ",", False)],
 )
-def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separator, decimal, named):
+def test_csv_of_other_programs_has_the_same_result(tmp_path, tables, vectors, separator, decimal, named):
     (expected,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
     lines = [separator.join(repr(v).replace(".", decimal) for v in row) for row in vectors.tolist()]
     text = "\r\n".join([separator.join("01234"), *lines] if named else lines)
@@ -292,7 +292,7 @@ def test_comments_before_the_rows_are_skipped_and_the_last_one_may_name_the_colu
     assert table.vectors == pytest.approx(vectors[:, 3 - len(names) : 3])
 
 
-def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
+def test_a_row_label_that_starts_like_a_comment_is_read(tmp_path, vectors):
     path = tmp_path / "a.csv"
     cells = [f"#{row},{a}" if row != 50 else "#50," for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
@@ -315,7 +315,7 @@ def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
         assert found["n"] == 40
 
 
-def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):
+def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp_path, vectors):
     cells = {3: "NA", 50: " ", 60: "null", 70: "-inf", 80: "broken"}
     lines = [f"{row},{a},{cells.get(row, b)}," for row, (a, b, *_) in enumerate(vectors.tolist())]
     (tmp_path / "a.csv").write_text("\n".join([",a,b,", *lines]), encoding="utf-8")
@@ -326,7 +326,7 @@ def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_non
     assert "trend" not in [one["kind"] for one in found["named"]]
 
 
-def test_arguments_that_say_no_baseline_are_refused(tables):
+def test_arguments_without_a_baseline_are_rejected(tables):
     path = tables[".csv"]
     assert "say what is the baseline" in refused(path)
     assert "say what is the baseline" in refused(path, "--baseline-rows", 3, "--baseline-where", "a=b")
@@ -346,7 +346,7 @@ def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
 
 @pytest.mark.parametrize("option", ["--budget", "--sets-per-day"])
 @pytest.mark.parametrize("value", ["nan", "inf", "0"])
-def test_numbers_that_are_none_are_refused_before_anything_is_read(option, value):
+def test_invalid_numbers_are_rejected_before_any_file_is_read(option, value):
     answer = CliRunner().invoke(cli, ["assess", "none.csv", "--baseline-rows", "40", option, value])
     assert answer.exit_code == 2
     assert f"Invalid value for '{option}'" in answer.stderr
@@ -489,7 +489,7 @@ def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_
     assert "  columns    a, b" in words
 
 
-def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
+def test_a_column_that_is_left_out_can_be_requested(tmp_path, vectors):
     path = written(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
     (found,) = assessed_sensors(path, "--baseline-rows", 40, "--features", "hour,a")
     assert found["columns_assessed"] == ["hour", "a"]

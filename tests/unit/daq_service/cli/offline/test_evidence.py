@@ -171,13 +171,13 @@ def test_each_column_has_its_count_and_the_outliers_come_first(line):
         ("alarms.decides_by=luck", "alarms.decides_by: Input should be 'chart' or 'k_of_n'"),
     ],
 )
-def test_what_does_not_judge_or_is_refused_is_named_with_what_may_be_set(line, given, message):
+def test_a_setting_without_effect_or_invalid_is_rejected_with_the_valid_keys(line, given, message):
     done = solimon_here("replay", str(line.folder), "--set", given, env={})
     assert (done.returncode, done.stdout) == (2, "")
     assert message in done.stderr
 
 
-def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line):
+def test_every_key_can_be_set_also_below_a_table_of_names(line):
     with line.catalogue() as catalogue:
         configuration = catalogue.experiment_row().configuration
     given = parsed(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
@@ -191,7 +191,7 @@ def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line
         parsed(["alarms.k=1", "alarms.k=2"])
 
 
-def test_onsets_of_the_same_set_are_kept_and_the_others_are_paired_in_order():
+def test_alarms_of_the_same_set_are_paired_before_the_others():
     def onset(set_index, position="B"):
         return Onset(
             position=position, kind="hole", set_index=set_index, hour=0.5, severity="high", message=""
@@ -204,7 +204,7 @@ def test_onsets_of_the_same_set_are_kept_and_the_others_are_paired_in_order():
     assert [(one.position, one.set_index) for one in found.come] == [("D", 1)]
 
 
-def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_codes(line, tmp_path):
+def test_a_foreign_folder_and_an_unreadable_set_have_their_exit_codes(line, tmp_path):
     missing = solimon_here("replay", str(tmp_path / "nowhere"), env={})
     assert (missing.returncode, missing.stdout) == (2, "")
     assert "there is no data folder" in missing.stderr
@@ -219,7 +219,7 @@ def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_cod
     assert path.name in damaged.stderr
 
 
-def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
+def test_a_change_alarm_is_recomputed_on_a_self_contained_page(line, tmp_path):
     before = content_of(line.folder)
     done = explain(line.folder, alarm_id_of(line, "transducer_change", "B"), tmp_path, "--json")
     explanation = json.loads(done.stdout)
@@ -247,7 +247,7 @@ def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(
         assert words in page
 
 
-def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(line, tmp_path):
+def test_a_hole_has_its_silent_shots_and_files_are_not_overwritten(line, tmp_path):
     hole = alarm_id_of(line, "hole", "C")
     explanation = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
     silent = {row["set_index"]: row["n"] for row in explanation["recomputed"]["shots_without_psw"]}
@@ -258,7 +258,7 @@ def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(
     assert (inside.returncode, (line.folder / "explained").exists()) == (2, False)
 
 
-def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
+def test_a_different_stored_value_is_reported_with_both_values(changed_line, line, tmp_path):
     folder = changed_line(AssessmentRow, 20, distance_squared=1.0)
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
     explanation = json.loads(done.stdout)
@@ -283,7 +283,7 @@ def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, 
     ],
     ids=["signed", "retired"],
 )
-def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(after, line, tmp_path):
+def test_later_baseline_commands_do_not_affect_the_explanation(after, line, tmp_path):
     folder = tmp_path / "later"
     shutil.copytree(line.folder, folder)
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
@@ -318,7 +318,7 @@ def test_an_unknown_alarm_a_foreign_extractor_and_a_corrupt_set_are_reported(cha
 
 
 @pytest.mark.parametrize(("position", "code"), [("C", 0), ("B", 4)])
-def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line, tmp_path):
+def test_a_corrupt_shot_of_another_position_does_not_matter(position, code, line, tmp_path):
     folder = tmp_path / "damaged"
     shutil.copytree(line.folder, folder)
     path = next(folder.glob("sets/*000004*"))

@@ -50,7 +50,7 @@ def refused(*arguments):
     return str(caught.value)
 
 
-def test_counts_give_what_the_recorder_would_have_found(tmp_path, counts):
+def test_counts_give_the_features_of_the_recorder(tmp_path, counts):
     path = saved(tmp_path, counts)
     rows = extracted_records(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
     assert [(row["file"], row["index"]) for row in rows] == [(str(path), k) for k in range(N)]
@@ -140,7 +140,7 @@ def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200])
-def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
+def test_missing_samples_cost_only_their_record(tmp_path, value):
     values = volts()
     values[3, 700:1200] = value
     rows = extracted_records(saved(tmp_path, values))
@@ -148,7 +148,7 @@ def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
 
 
-def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_only(tmp_path):
+def test_invalid_cells_and_short_rows_cost_only_their_record(tmp_path):
     lines = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in volts()]
     lines[2] = lines[2].replace(";0,", ";broken;0,", 1)
     lines[7] = lines[7][:3000]
@@ -158,7 +158,7 @@ def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_on
     assert rows[7]["tof_mf_s"] is None
 
 
-def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
+def test_a_row_of_missing_values_is_a_record_and_a_row_of_words_is_not(tmp_path):
     values = volts(n=3)
     values[1] = np.nan
     np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f", header="10 MHz, 1\nRig, 3")
@@ -178,7 +178,7 @@ def test_numbers_that_are_not_finite_are_refused(option):
     assert f"Invalid value for '{option}': nan is no finite number" in answer.stderr
 
 
-def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
+def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
     bad = tmp_path / "bad.npy"
     bad.write_bytes(b"hello")
     good = saved(tmp_path, volts(n=2))
@@ -191,7 +191,7 @@ def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_records_of_noise_alone_teach_no_width_and_are_missed_strikes(tmp_path, seed):
+def test_records_of_noise_are_missed_strikes_and_set_no_width(tmp_path, seed):
     noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
     rows = extracted_records(saved(tmp_path, noise))
     assert [row["flags"] for row in rows] == [["missed"]] * N
@@ -199,12 +199,12 @@ def test_records_of_noise_alone_teach_no_width_and_are_missed_strikes(tmp_path, 
     assert all(row["quality"] == "bad" for row in extracted_records(saved(tmp_path, noise)))
 
 
-def test_one_record_alone_is_a_file_too(tmp_path):
+def test_a_file_may_have_one_record(tmp_path):
     (row,) = extracted_records(saved(tmp_path, SCENE.volts(0)))
     assert row["quality"] == "good"
 
 
-def test_a_table_for_the_eye_has_a_line_a_record(tmp_path):
+def test_the_text_table_has_a_line_per_record(tmp_path):
     answer = run(saved(tmp_path, volts()))
     assert answer.stdout.count("│ good") == N
     assert "330.0" in answer.stdout
@@ -225,7 +225,7 @@ def test_a_table_for_the_eye_has_a_line_a_record(tmp_path):
         (np.zeros((3, 13_000)), ("--pretrigger-s", "1"), "record 0: pretrigger_samples"),
     ],
 )
-def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options, words):
+def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, words):
     assert words in refused(saved(tmp_path, values), *options)
 
 
@@ -243,7 +243,7 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
         ("records.tdms", b"hello", "records.tdms"),
     ],
 )
-def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, content, words):
+def test_a_file_of_another_kind_is_rejected_with_its_name(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
     assert words in refused(tmp_path / name)
 
@@ -281,7 +281,7 @@ def test_an_overload_costs_its_record_only(tmp_path, overload):
     assert rows[1]["isw_amplitude_v"] is None
 
 
-def test_an_hdf5_file_of_another_program_is_refused_with_what_to_do(tmp_path):
+def test_an_hdf5_file_of_another_program_is_rejected_with_a_remedy(tmp_path):
     with h5py.File(tmp_path / "matlab.h5", "w", userblock_size=512) as file:
         file.create_dataset("waves", data=volts(n=1)).attrs["MATLAB_class"] = np.bytes_("double")
     assert "records of other programs (MATLAB, pandas): save them as .npy" in refused(tmp_path / "matlab.h5")
@@ -295,7 +295,7 @@ def written_tdms(path, properties):
     return path
 
 
-def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
+def test_scaled_labview_values_are_volts_unless_another_unit_is_given(tmp_path):
     wave = {"wf_increment": 1.0 / SCENE.rate_hz}
     options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
     rows = extracted_records(written_tdms(tmp_path / "a.tdms", wave), *options)

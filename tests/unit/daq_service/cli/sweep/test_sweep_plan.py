@@ -74,7 +74,7 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
         (["chain.mass_kg=0.02:0.03:500", "chain.radius_m=0.009:0.01:401"], "200500 rows; a sweep has at"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_runs(specifications: list[str], words: str) -> None:
+def test_an_impossible_sweep_is_rejected_before_the_start(specifications: list[str], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         planned(*specifications)
 
@@ -84,7 +84,7 @@ def test_waveforms_have_a_smaller_limit() -> None:
         planned("chain.drop_height_m=0.003:0.008:10001", waveforms=True)
 
 
-def test_refused_combinations_may_stay_as_rows_with_their_reason() -> None:
+def test_rejected_combinations_can_be_rows_with_their_reason() -> None:
     plan = planned("chain.drop_height_m=0.005,2", "plate.thickness_m=-1,0.01", skip_invalid=True)
     assert [row.specimen is None for row in plan.rows] == [True, False, True, True]
     both = plan.rows[2].reason
@@ -113,7 +113,7 @@ def test_the_identity_knows_parameters_keys_model_and_code(monkeypatch: pytest.M
     assert changed.rows[0].key != plan.rows[0].key
 
 
-def test_zeners_model_takes_the_keys_that_count_there_and_no_others() -> None:
+def test_the_zener_model_accepts_only_its_keys() -> None:
     def numbers(key: str, value: object) -> dict[str, float]:
         (row,) = make_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
         assert row.specimen is not None

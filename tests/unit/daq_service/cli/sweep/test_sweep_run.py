@@ -124,7 +124,7 @@ def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers
     assert swept(other).facts["content_hash"] != alone.facts["content_hash"]
 
 
-def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_ignores_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     class Parent:
         def join(self) -> None:
             calls.append("the parent has ended")
@@ -144,7 +144,7 @@ def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest
     assert calls == ["the parent has ended", 1]
 
 
-def test_an_interrupted_sweep_goes_on_without_computing_a_row_again(
+def test_an_interrupted_sweep_continues_without_repeated_rows(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = planned(*HEIGHTS, base=ANALYTIC, waveforms=True)
@@ -162,7 +162,7 @@ def test_an_interrupted_sweep_goes_on_without_computing_a_row_again(
     assert not work_path(output).exists()
 
 
-def test_a_torn_or_damaged_line_is_computed_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
     done = interrupted(monkeypatch, plan, output)
@@ -265,7 +265,7 @@ def test_the_content_hash_can_be_made_again_from_the_table() -> None:
     assert hashlib.sha256(text.encode()).hexdigest() == table.facts["content_hash"]
 
 
-def test_a_row_without_numbers_says_why_and_stops_no_other() -> None:
+def test_a_row_without_numbers_has_a_reason_and_stops_no_other() -> None:
     # The impact of so slow a striker is lost in the rounding of the chain's static energy.
     plan = planned("chain.drop_height_m=5e-3,1e-12", base=ANALYTIC)
     table = swept(plan)
@@ -286,7 +286,7 @@ def test_contradicting_parameters_end_the_sweep_or_become_a_row() -> None:
     assert refused["tof_us"] is None
 
 
-def test_results_are_not_replaced_unasked(tmp_path: Path) -> None:
+def test_results_are_not_overwritten_by_default(tmp_path: Path) -> None:
     plan = planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC)
     output = tmp_path / "table.csv"
     swept(plan, outputs=(output,))
@@ -333,7 +333,7 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
         (["folder.csv"], False, StorageError, "is a folder"),
     ],
 )
-def test_outputs_that_cannot_be_are_refused_first(
+def test_impossible_outputs_are_rejected_first(
     names: list[str], waveforms: bool, error: type[Exception], words: str, tmp_path: Path
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
