@@ -15,7 +15,7 @@ DEAD_PROXY = "http://127.0.0.1:9"
 
 
 @pytest.fixture(autouse=True)
-def bare(monkeypatch):
+def without_proxies(monkeypatch):
     """Remove the proxy variables of the machine that runs the tests."""
     for variable in VARIABLES:
         monkeypatch.delenv(variable, raising=False)
@@ -23,7 +23,7 @@ def bare(monkeypatch):
 
 
 @contextmanager
-def answering(status, body):
+def serve_response(status, body):
     """Serve the same response to every request; yield the port and the requests."""
     requests = []
 
@@ -65,7 +65,7 @@ def test_loopback_is_asked_directly(variables, monkeypatch, tmp_path):
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    with answering(200, b'{"name": "plate 7"}') as (port, requests):
+    with serve_response(200, b'{"name": "plate 7"}') as (port, requests):
         for host in ("127.0.0.1", "localhost"):
             with client.open(f"http://{host}:{port}") as test:
                 assert test.info() == {"name": "plate 7"}
@@ -139,7 +139,7 @@ def test_an_address_that_is_none_is_no_raw_error():
     ("status", "body"), [(502, b"<h1>Bad Gateway</h1>"), (200, b"<h1>Log in</h1>"), (407, b'["who?"]')]
 )
 def test_what_a_proxy_answers_is_reported_with_its_variable(status, body, monkeypatch):
-    with answering(status, body) as (port, requests):
+    with serve_response(status, body) as (port, requests):
         monkeypatch.setenv("HTTP_PROXY", f"127.0.0.1:{port}")
         with (
             client.open("http://rig.lab") as test,

@@ -37,7 +37,7 @@ class Clock:
         return idle()
 
 
-class Deaf:
+class RecordingInstruments:
     """Striker and digitizer double that records each strike and returns no data."""
 
     def __init__(self, clock):
@@ -61,10 +61,10 @@ class Deaf:
         self.armed = None
 
 
-def struck(positions, shots_per_set):
+def strikes_of_all_sets(positions, shots_per_set):
     """Return the strikes that `take_set` makes in every set."""
     clock = Clock()
-    deaf = Deaf(clock)
+    deaf = RecordingInstruments(clock)
     rig = Rig(kind="simulated", clock=clock, striker=deaf, digitizer=deaf)
     for due in SETS:
         plan = SetPlan(
@@ -84,7 +84,7 @@ def planned(positions, shots_per_set):
 
 @pytest.mark.parametrize("number", [0, 3, 4, 12, 31])
 def test_the_plan_is_what_take_set_strikes(number):
-    strikes = struck(("B", "C"), 4)
+    strikes = strikes_of_all_sets(("B", "C"), 4)
     assert len(strikes) == len(SETS) * 2 * 4
     assert list(planned(("B", "C"), 4)(*strikes[number])) == strikes[number + 1 :]
 
@@ -106,7 +106,7 @@ def test_a_repetition_is_followed_by_what_its_first_attempt_is_followed_by():
     assert next(islice(plan(again, later_ns), 1))[1] == later_ns + round(INTERVAL_S * NS_PER_S)
 
 
-class Scripted(Deaf):
+class ScriptedInstruments(RecordingInstruments):
     """Instrument double whose reads follow a list of records and errors."""
 
     def __init__(self, clock, answers):
@@ -145,10 +145,10 @@ SILENCE = AcquisitionTimeoutError("nothing came")
 LOST = ConnectionLostError("the chassis is gone")
 
 
-def taken(answers, positions=None, shots_per_set=2, **hooks):
+def take(answers, positions=None, shots_per_set=2, **hooks):
     """Return the measurements of one set, the error that ended it, and the instruments."""
     clock = Clock()
-    instruments = Scripted(clock, answers)
+    instruments = ScriptedInstruments(clock, answers)
     rig = Rig(
         kind="simulated", clock=clock, striker=instruments, digitizer=instruments, pulse_echo=instruments
     )
@@ -171,7 +171,7 @@ def taken(answers, positions=None, shots_per_set=2, **hooks):
 
 
 def test_echoes_are_taken_before_the_transducers_in_order():
-    found, _, _ = taken([])
+    found, _, _ = take([])
     assert [(item.key.position, item.key.shot_index) for item in found] == [
         ("A", 0),
         ("B", 0),
@@ -185,7 +185,7 @@ def test_echoes_are_taken_before_the_transducers_in_order():
 
 
 def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
-    found, error, instruments = taken([ACQUIRED, SILENCE])
+    found, error, instruments = take([ACQUIRED, SILENCE])
     assert error is None
     assert isinstance(found[1], MissedShot)
     assert (found[1].reason, found[1].cause) == ("no_trigger", "nothing came")
@@ -194,7 +194,7 @@ def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
 
 
 def test_a_lost_connection_in_three_consecutive_records_ends_the_set():
-    found, error, _ = taken([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
+    found, error, _ = take([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
     assert error is LOST
     reasons = [item.reason if isinstance(item, MissedShot) else "" for item in found]
     assert reasons == ["", *["connection_lost"] * 2, "", *["connection_lost"] * 3]
@@ -202,14 +202,14 @@ def test_a_lost_connection_in_three_consecutive_records_ends_the_set():
 
 def test_a_permanent_error_ends_the_set_immediately_and_safely():
     wrong = ConfigurationError("no such channel")
-    found, error, instruments = taken([ACQUIRED, ACQUIRED, wrong])
+    found, error, instruments = take([ACQUIRED, ACQUIRED, wrong])
     assert error is wrong
     assert len(found) == 2
     assert instruments.calls[-1] == "safe"
 
 
 def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
-    found, _, _ = taken([], {"B": "solitary_wave"}, wants_restrike=lambda shot: shot.key.attempt < 2)
+    found, _, _ = take([], {"B": "solitary_wave"}, wants_restrike=lambda shot: shot.key.attempt < 2)
     assert [(item.key.shot_index, item.key.attempt) for item in found] == [
         (0, 0),
         (0, 1),
@@ -223,7 +223,7 @@ def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
 
 def test_no_repetition_is_requested_after_a_lost_connection():
     asked = []
-    taken(
+    take(
         [ACQUIRED, LOST],
         {"A": "pulse_echo", "B": "solitary_wave"},
         wants_restrike=asked.append,
@@ -233,7 +233,7 @@ def test_no_repetition_is_requested_after_a_lost_connection():
 
 def test_a_transducer_disabled_by_a_command_is_not_struck_again():
     allowed = {"B", "C"}
-    found, _, _ = taken(
+    found, _, _ = take(
         [], wants_restrike=lambda shot: allowed.discard("B"), may_strike=lambda position: position in allowed
     )
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
@@ -247,12 +247,12 @@ def test_a_pending_strike_is_dropped_when_its_transducer_is_disabled():
             allowed.discard("B")
         return True
 
-    found, _, _ = taken([], idle=idle, may_strike=lambda position: position in allowed)
+    found, _, _ = take([], idle=idle, may_strike=lambda position: position in allowed)
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 
 def test_the_set_ends_when_idle_returns_false():
     answers = iter([True, True, True, False])
-    found, error, _ = taken([], idle=lambda: next(answers))
+    found, error, _ = take([], idle=lambda: next(answers))
     assert error is None
     assert [item.key.position for item in found] == ["A", "B", "B"]

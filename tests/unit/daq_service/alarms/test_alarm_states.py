@@ -173,25 +173,31 @@ def test_an_alarm_is_active_while_its_condition_is_present_or_unacknowledged(
         assert (row.state == "unacknowledged") == history[-1]
 
 
-def standing(position: str | None, kind: str, state: AlarmState = "unacknowledged") -> AlarmRow:
+def active_alarm(position: str | None, kind: str, state: AlarmState = "unacknowledged") -> AlarmRow:
     return replace(raised(position=position, kind=kind, message=f"{kind} at {position}"), state=state)
 
 
 @pytest.mark.parametrize("kind", ["hole", "retired"])
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged", "returned_unacknowledged"])
 def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state: str) -> None:
-    assert retired_positions([standing("B", kind, state)]) == {"B": f"{kind} at B"}
+    assert retired_positions([active_alarm("B", kind, state)]) == {"B": f"{kind} at B"}
 
 
 def test_a_reset_alarm_enables_the_transducer() -> None:
-    assert retired_positions([standing("B", "hole", "normal"), standing("C", "retired", "normal")]) == {}
+    assert (
+        retired_positions([active_alarm("B", "hole", "normal"), active_alarm("C", "retired", "normal")]) == {}
+    )
 
 
 def test_one_of_two_active_alarms_is_enough() -> None:
-    rows = (standing("B", "hole", "normal"), standing("B", "retired"))
+    rows = (active_alarm("B", "hole", "normal"), active_alarm("B", "retired"))
     assert retired_positions(rows) == {"B": "retired at B"}
 
 
 def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
-    rows = (standing("B", "wall_change"), standing("C", "no_data"), standing(None, "rig_unavailable"))
+    rows = (
+        active_alarm("B", "wall_change"),
+        active_alarm("C", "no_data"),
+        active_alarm(None, "rig_unavailable"),
+    )
     assert retired_positions(rows) == {}

@@ -41,7 +41,7 @@ def append_set(archive, record):
         archive.append(item, item.stamp.utc_ns)
 
 
-class Refusing:
+class FailingCall:
     """System call double that fails a number of times and counts its calls for each file."""
 
     def __init__(self, call, times, error=errno.ENOSPC):
@@ -58,7 +58,7 @@ class Refusing:
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_after_a_write_error_data_go_to_a_new_segment(archive, tmp_path, monkeypatch, name):
     append_set(archive, make_set())
-    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
+    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert list(segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
@@ -75,7 +75,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         return real(path, *arguments)
 
     monkeypatch.setattr(writer.os, "open", noting)
-    monkeypatch.setattr(writer, "synchronise", Refusing(writer.synchronise, 2, errno.EIO))
+    monkeypatch.setattr(writer, "synchronise", FailingCall(writer.synchronise, 2, errno.EIO))
     with pytest.raises(ArchiveWriteError, match="Input/output error"):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
@@ -88,7 +88,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
     archive.begin_set(SET_INDEX, due_utc_ns=1, started_utc_ns=1, retired={})
     archive.append(first, 1)
     assert archive.sync() == [first.sequence]
-    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 20, errno.EIO))
+    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 20, errno.EIO))
     for item in others:
         archive.append(item, 2)
         with pytest.raises(ArchiveWriteError):
@@ -101,7 +101,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
 def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monkeypatch):
     append_set(archive, make_set())
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "write_all", Refusing(writer.write_all, 99))
+        patch.setattr(writer, "write_all", FailingCall(writer.write_all, 99))
         for _ in range(2):
             with pytest.raises(ArchiveWriteError, match="free some space"):
                 archive.sync()
@@ -112,7 +112,7 @@ def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monk
 
 def test_a_nearly_full_disk_is_used_completely(archive, monkeypatch):
     """A record is written even if a whole segment does not fit."""
-    monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
+    monkeypatch.setattr(writer.os, "posix_fallocate", FailingCall(os.posix_fallocate, 99), raising=False)
     append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 

@@ -21,7 +21,7 @@ SPIKED = 37
 EXPERIMENT = "ab/1"
 
 
-def a_set(index: int, n_samples: int = 300):
+def noise_set(index: int, n_samples: int = 300):
     """Return two records of noise at B whose first pulses differ by a fraction of a sample."""
     shots = [make_shot("B", k, 10_000 + 2 * index + k, n_samples=n_samples) for k in range(2)]
     record = replace(
@@ -47,7 +47,7 @@ class Stored:
 
     def __init__(self, n_sets: int = N_SETS, n_samples: int = 300) -> None:
         self.archive = MemoryArchive()
-        taken = {index: a_set(index, n_samples) for index in range(n_sets) if index not in MISSED}
+        taken = {index: noise_set(index, n_samples) for index in range(n_sets) if index not in MISSED}
         self.files = {index: self.archive.store_set(record).file for index, (record, _) in taken.items()}
         self.records = {index: record for index, (record, _) in taken.items()}
         self._anchors = {index: anchors for index, (_, anchors) in taken.items()}
@@ -122,7 +122,7 @@ def tiles(tmp_path, stored):
     return tiles_at
 
 
-def drawn(stored, tiles, wanted, reader=None):
+def draw(stored, tiles, wanted, reader=None):
     """Request the figure until everything was read."""
     reader = reader or WaterfallReader(stored)
     for _ in range(N_SETS):
@@ -147,7 +147,7 @@ WANTED = {
 @pytest.mark.parametrize("alignment", ["trigger", "first"])
 def test_tiles_draw_what_the_records_hold(copied, stored, tiles, alignment, wanted):
     its = tiles(alignment)
-    picture = drawn(stored, its, wanted)
+    picture = draw(stored, its, wanted)
     expected = stored.expected(its, picture.frame, wanted.first, wanted.last, picture.row_sets)
     assert len(picture.rows) == len(expected) <= wanted.rows
     assert picture.frame.n_cells <= wanted.columns
@@ -161,7 +161,7 @@ def test_few_sets_show_samples_finer_than_the_tiles(tmp_path):
     tiles = tiles_of(tmp_path, EXPERIMENT, its.records[0], "B", "trigger")
     assert tiles.frame.width == 2
     wanted = Wanted(first=0, last=1, rows=10, columns=50, from_s=1e-6, to_s=4e-6)
-    picture = drawn(its, tiles, wanted)
+    picture = draw(its, tiles, wanted)
     assert (picture.frame.width, picture.frame.n_cells, its.n_read) == (1, 30, 2)
     volts = [shot.waveform.volts()[110:140].astype(np.float32) for shot in its.records[0].shots]
     np.testing.assert_array_equal(picture.rows[0].planes, [np.min(volts, axis=0), np.max(volts, axis=0)])
@@ -181,11 +181,11 @@ def test_a_single_sample_is_seen_at_every_level(copied, stored, tiles, rows, col
 def test_a_figure_from_complete_tiles_reads_no_record(copied, stored, tiles):
     before = stored.n_read
     for rows in (1, 4, 30, 100):
-        drawn(stored, tiles("trigger"), replace(ALL, rows=rows))
+        draw(stored, tiles("trigger"), replace(ALL, rows=rows))
     assert stored.n_read == before
 
 
-def damaged(path):
+def corrupt_tile(path):
     """Flip a bit of a sample of the third row if it exists; in a NaN the flip would have no effect."""
     n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
     content = bytearray(path.read_bytes())
@@ -195,7 +195,7 @@ def damaged(path):
 
 FAULTS = {
     "deleted": lambda path: path.unlink(),
-    "a flipped bit": damaged,
+    "a flipped bit": corrupt_tile,
     "torn": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "empty": lambda path: path.write_bytes(b""),
     "zeros": lambda path: path.write_bytes(bytes(path.stat().st_size)),
@@ -208,10 +208,10 @@ FAULTS = {
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_a_corrupt_tile_is_not_shown_and_is_made_again(copied, stored, tiles, level, fault):
     wanted = replace(ALL, rows=100 // 4**level)
-    sound = drawn(stored, tiles("first"), wanted)
+    sound = draw(stored, tiles("first"), wanted)
     path = copied / TILES_FOLDER / "B" / "first" / f"{4**level:04d}-000000.tile"
     fault(path)
-    found = drawn(stored, tiles("first"), wanted)
+    found = draw(stored, tiles("first"), wanted)
     for row, its in zip(found.rows, sound.rows, strict=True):
         np.testing.assert_array_equal(row.planes, its.planes)
     if path.is_dir():
@@ -220,7 +220,7 @@ def test_a_corrupt_tile_is_not_shown_and_is_made_again(copied, stored, tiles, le
         return
     stored.keep(copied)
     before = stored.n_read
-    drawn(stored, tiles("first"), wanted)
+    draw(stored, tiles("first"), wanted)
     assert stored.n_read == before, "the tiles are whole again"
 
 
@@ -239,12 +239,12 @@ def test_a_row_that_lacks_a_set_is_skipped(tmp_path, stored, tiles):
     """The disk rejected the tile of one set: rows above it lack a set, so its records are read."""
     stored.keep(tmp_path, indices=[index for index in stored.files if index != SPIKED])
     before = stored.n_read
-    picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
+    picture = draw(stored, tiles("trigger"), replace(ALL, rows=3))
     spike = stored.records[SPIKED].shots[1].waveform.volts()[222]
     assert max(picture.peaks) == np.float32(spike)
     assert stored.n_read == before + 1
     stored.keep(tmp_path)
-    picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
+    picture = draw(stored, tiles("trigger"), replace(ALL, rows=3))
     assert (max(picture.peaks), stored.n_read) == (np.float32(spike), before + 1)
 
 
@@ -276,7 +276,7 @@ def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, ti
     first = reader.picture(tiles("trigger"), stored, ALL)
     assert stored.n_read == before + SETS_AT_ONCE
     assert (len(first.rows), first.pending) == (SETS_AT_ONCE, len(stored.files) - SETS_AT_ONCE)
-    whole = drawn(stored, tiles("trigger"), ALL, reader)
+    whole = draw(stored, tiles("trigger"), ALL, reader)
     assert [row.first_set for row in whole.rows] == list(stored.files)
     assert stored.n_read == before + len(stored.files), "what was read once is remembered"
 

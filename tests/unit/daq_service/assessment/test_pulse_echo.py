@@ -23,7 +23,7 @@ def assessor(**ultrasound):
     return PulseEchoAssessor("A", small_settings(ultrasound=ultrasound))
 
 
-def assessed(made, volts, sequence=1, settings=None):
+def assess(made, volts, sequence=1, settings=None):
     echo = PulseEchoRecord(
         sequence=sequence,
         key=ShotKey(position="A", set_index=sequence, shot_index=0),
@@ -44,8 +44,8 @@ def assessed(made, volts, sequence=1, settings=None):
 
 def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assessed(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assess(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
     (row,) = found.thickness
     assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
     assert row.quality == "good"
@@ -59,9 +59,9 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
 
 def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
     noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
-    found = assessed(made, noise_v, sequence=2)
+    found = assess(made, noise_v, sequence=2)
     (row,) = found.thickness
     assert row.quality == "bad"
     assert (row.travel_time_s, row.thickness_m, row.thickness_loss_m) == (None, None, None)
@@ -76,8 +76,8 @@ def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
 )
 def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings):
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assessed(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assess(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
     (row,) = found.thickness
     assert found.shot_flags == {2: ("clipped",)}
     assert row.quality == "suspect"
@@ -91,8 +91,8 @@ def test_a_known_element_separation_is_corrected():
     read_m = {}
     for known_m in (0.0, 2.7e-3):
         made = assessor(element_separation_m=known_m)
-        assessed(made, echo_volts(6.35e-3, echo))
-        (row,) = assessed(made, echo_volts(3.8e-3, echo), sequence=2).thickness
+        assess(made, echo_volts(6.35e-3, echo))
+        (row,) = assess(made, echo_volts(3.8e-3, echo), sequence=2).thickness
         read_m[known_m] = row.thickness_m
         assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
     assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)

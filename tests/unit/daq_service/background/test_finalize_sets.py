@@ -13,7 +13,7 @@ from daq_service.background import finalize_sets as module
 from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
 
 
-class Broken(Executor):
+class BrokenExecutor(Executor):
     """Worker double that was killed."""
 
     def submit(self, work, /, *arguments, **named):
@@ -71,7 +71,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 
 
 def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
-    workers = [Broken(), AtOnce()]
+    workers = [BrokenExecutor(), AtOnce()]
     making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
     making.put(SET_INDEX)
     making.work()

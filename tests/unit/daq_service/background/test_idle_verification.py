@@ -22,7 +22,7 @@ from daq_service.recording import session
 LONG_S = 1000.0
 
 
-class Reading(AtOnce):
+class ReadingExecutor(AtOnce):
     """Executor double that reads in this thread and records the files."""
 
     def __init__(self):
@@ -41,11 +41,11 @@ def stored(tmp_path):
     return [archive.store_set(record).file for record in records]
 
 
-class Idle:
+class IdleBench:
     """Idle check of a folder with its own clock."""
 
     def __init__(self, folder, worker=None):
-        self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
+        self.now_s, self.lost, self.worker = 0.0, {}, worker or ReadingExecutor()
         self.compaction = SetFinalizer(folder, FiledArchive(folder), start=lambda: self.worker)
         self.trouble, self.noted = None, {}
         self.check = IdleVerification(
@@ -73,7 +73,7 @@ class Idle:
 
 
 def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
-    idle = Idle(tmp_path)
+    idle = IdleBench(tmp_path)
     assert idle.steps(7) == {}
     assert [f"sets/{name}" for name in idle.worker.files] == [*stored, *stored, stored[0]]
     idle.check.work(LONG_S)
@@ -83,7 +83,7 @@ def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
 
 
 def test_no_file_is_verified_before_a_due_set_or_during_finalization(tmp_path, stored, monkeypatch):
-    idle = Idle(tmp_path)
+    idle = IdleBench(tmp_path)
     idle.steps(3, free_s=QUIET_S)
     monkeypatch.setattr(SetFinalizer, "waits", True)
     idle.steps(3)
@@ -95,7 +95,7 @@ def test_no_file_is_verified_before_a_due_set_or_during_finalization(tmp_path, s
 
 @pytest.mark.parametrize("trouble", [CatalogueBusyError("locked"), CatalogueDamagedError("page 3")])
 def test_a_locked_catalogue_delays_the_check_but_not_the_test(tmp_path, stored, trouble):
-    idle = Idle(tmp_path)
+    idle = IdleBench(tmp_path)
     idle.trouble = trouble
     assert idle.steps(3) == {}
     assert idle.worker.files == []
@@ -106,7 +106,7 @@ def test_a_locked_catalogue_delays_the_check_but_not_the_test(tmp_path, stored, 
 
 def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     """An older folder has no digests; a corrupt file must not get one."""
-    idle = Idle(tmp_path)
+    idle = IdleBench(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
     damaged.write_bytes(damaged.read_bytes()[:-2000])
     idle.check.work(LONG_S)
@@ -119,7 +119,7 @@ def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
 
 
 def test_corruption_is_reported_until_it_is_repaired(tmp_path, stored):
-    idle, path = Idle(tmp_path), tmp_path / stored[1]
+    idle, path = IdleBench(tmp_path), tmp_path / stored[1]
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     assert list(idle.steps(3)) == [stored[1]]
@@ -132,7 +132,7 @@ def test_corruption_is_reported_until_it_is_repaired(tmp_path, stored):
 
 
 def test_corrupt_files_of_an_earlier_process_are_checked_first(tmp_path, stored):
-    idle = Idle(tmp_path)
+    idle = IdleBench(tmp_path)
     idle.check.begin({stored[2]: "damaged", "sets/gone_by_now.h5": "damaged"})
     assert idle.check.damaged == {stored[2]: "damaged"}
     assert idle.steps(1) == {}
@@ -140,13 +140,13 @@ def test_corrupt_files_of_an_earlier_process_are_checked_first(tmp_path, stored)
 
 
 def test_a_killed_worker_is_no_corruption(tmp_path, stored):
-    class Dying(Executor):
+    class DyingExecutor(Executor):
         def submit(self, work, /, *arguments, **named):
             future = Future()
             future.set_exception(BrokenProcessPool("killed"))
             return future
 
-    assert Idle(tmp_path, Dying()).steps(3) == {}
+    assert IdleBench(tmp_path, DyingExecutor()).steps(3) == {}
 
 
 class IdleCheckDouble:

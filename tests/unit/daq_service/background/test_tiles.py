@@ -158,7 +158,7 @@ def life(tmp_path_factory):
 
 
 @pytest.fixture
-def older(life, tmp_path):
+def copy_of_older_version(life, tmp_path):
     """Return a copy of a folder of an earlier version, without tiles."""
     folder = tmp_path / "copy"
     shutil.copytree(life.folder, folder)
@@ -166,24 +166,24 @@ def older(life, tmp_path):
     return replace(life, folder=folder)
 
 
-def test_rebuild_makes_the_tiles_of_an_older_folder(older):
-    before = table_rows(older.folder)
-    lose_catalogue(older.folder)
-    assert rebuild(older.folder, features_of=older.features_of).warnings == []
-    assert table_rows(older.folder) == before
-    with open_catalogue(older.folder) as catalogue:
+def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
+    before = table_rows(copy_of_older_version.folder)
+    lose_catalogue(copy_of_older_version.folder)
+    assert rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings == []
+    assert table_rows(copy_of_older_version.folder) == before
+    with open_catalogue(copy_of_older_version.folder) as catalogue:
         name = experiment_identity(catalogue.experiment_row())
-        for path in set_files(older.folder).values():
+        for path in set_files(copy_of_older_version.folder).values():
             record = read_set(path)
             anchors = anchors_of(results_in(catalogue, record.set_index))
             for place in {taken.key.position for taken in record.records}:
-                tiles = tiles_of(older.folder, name, record, place, "first")
+                tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
                 expected = of_set(record, place, "first", anchors, tiles.frame)
                 np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
 
 
-def test_rebuild_continues_if_old_tiles_cannot_be_removed(older):
-    (older.folder / TILES_FOLDER).write_bytes(b"no folder")
-    lose_catalogue(older.folder)
-    (warning,) = rebuild(older.folder, features_of=older.features_of).warnings
+def test_rebuild_continues_if_old_tiles_cannot_be_removed(copy_of_older_version):
+    (copy_of_older_version.folder / TILES_FOLDER).write_bytes(b"no folder")
+    lose_catalogue(copy_of_older_version.folder)
+    (warning,) = rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings
     assert "not in the waterfall's tiles: the old tiles stay" in warning

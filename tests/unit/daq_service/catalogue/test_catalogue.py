@@ -247,7 +247,7 @@ def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp
     begin(tmp_path).close()
     found = iter(range(often))
 
-    class InTheMaking(sqlite3.Connection):
+    class IncompleteCatalogue(sqlite3.Connection):
         """Connection whose schema is inconsistent for a number of reads."""
 
         def execute(self, sql, *values):
@@ -257,7 +257,7 @@ def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp
                 raise error
             return super().execute(sql, *values)
 
-    monkeypatch.setattr(connection.sqlite3, "connect", partial(sqlite3.connect, factory=InTheMaking))
+    monkeypatch.setattr(connection.sqlite3, "connect", partial(sqlite3.connect, factory=IncompleteCatalogue))
     if often == 1:
         open_catalogue(tmp_path).close()
         assert next(found, None) is None

@@ -13,12 +13,12 @@ def test_a_recorder_start_during_a_read_is_no_corruption(tmp_path):
     new_catalogue(tmp_path).close()
     with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
 
-        class Changed:
+        class ChangedConnection:
             """Connection of a file that was opened as immutable and has changed."""
 
             def execute(self, sql, values):
                 recorder.enter_context(open_catalogue(tmp_path, writer=True))
                 raise sqlite3.DatabaseError("database disk image is malformed")
 
-        look._connection = Changed()
+        look._connection = ChangedConnection()
         assert look.set_indices() == set()

@@ -74,7 +74,7 @@ def random_catalogue(folder, seed):
     return catalogue
 
 
-def plainly(rows, filters):
+def filtered_rows(rows, filters):
     """Apply the same filters to every row."""
     conditions = {
         "first_h": lambda row, hour: row.due_h >= hour,
@@ -108,7 +108,7 @@ ASKED = [
 def test_pages_by_index_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         for kind, filters in ASKED:
-            expected = plainly(catalogue.rows(kind), filters)
+            expected = filtered_rows(catalogue.rows(kind), filters)
             assert catalogue.rows(kind, **filters) == expected, (kind, filters)
             if kind is ShotRow:
                 continue
@@ -131,7 +131,7 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
             )
         expected |= {"events": n_events, "pulse_echo_records": echoes, "shots": all_shots - echoes}
         assert {name: counts[name] for name in expected} == expected
-        assert counts["active_alarms"] == len(plainly(catalogue.rows(AlarmRow), {"active": True}))
+        assert counts["active_alarms"] == len(filtered_rows(catalogue.rows(AlarmRow), {"active": True}))
         for position, word in catalogue.positions_state().items():
             for newest, kind, filters in (
                 (word.last_set, SetRow, {}),
@@ -139,7 +139,7 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
                 (word.last_verdict, AssessmentRow, {}),
                 (word.last_thickness, ThicknessRow, {}),
             ):
-                found = plainly(catalogue.rows(kind), {"position": position, **filters})
+                found = filtered_rows(catalogue.rows(kind), {"position": position, **filters})
                 assert newest == max(found, key=lambda row: row.set_index, default=None)
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
         service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
@@ -150,7 +150,7 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
         assert catalogue.committed_sets() == {row.set_index for row in rows}
         assert catalogue.committed_sets({3, 99}) == {3}
-        reading = plainly(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
+        reading = filtered_rows(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
         assert catalogue.first_reading("A") == reading[0]
         tried = [row for row in rows if row.position == "B" and row.n_taken]
         assert catalogue.last_rows(SetRow, "B", 4, tried=True) == tried[-4:]

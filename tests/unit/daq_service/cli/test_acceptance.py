@@ -64,7 +64,7 @@ def faulty(tmp_path_factory):
     return line.folder
 
 
-def made_of(folder, *limits, **changes):
+def report_of(folder, *limits, **changes):
     return certificate(replace(read_evidence(folder), **changes), with_limits(limits))
 
 
@@ -92,7 +92,7 @@ def certify(*words):
 
 
 def test_sets_and_records_are_those_that_sql_counts(faulty):
-    found = numbers(made_of(faulty))
+    found = numbers(report_of(faulty))
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
         [counted] = database.execute(
             "SELECT sum(n_planned), (SELECT count(*) FROM shots WHERE outcome = 'accepted'), sum(n_valid), "
@@ -111,7 +111,7 @@ def test_sets_and_records_are_those_that_sql_counts(faulty):
 
 
 def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
-    made = made_of(faulty)
+    made = report_of(faulty)
     (first, n_sets, from_h, until_h, hours, cause), (again, *_) = rows(made, "gaps")
     # Sets every half hour, the first one at 0.5 h: 5 and 6 are due at 3 h and 3.5 h.
     assert (first, n_sets, from_h, until_h, hours) == (5, 2, 2.5, 4.0, 1.5)
@@ -121,7 +121,7 @@ def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
 
 
 def test_shortfalls_and_faults_are_listed_by_kind(faulty):
-    made = made_of(faulty)
+    made = report_of(faulty)
     lacking = {(state, positions): values for state, positions, *values in rows(made, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
     assert numbers(made)["restrikes"] > 0  # and they count nowhere as records that were planned
@@ -140,7 +140,7 @@ def test_shortfalls_and_faults_are_listed_by_kind(faulty):
 
 
 def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faulty):
-    for item in made_of(faulty).quantities:
+    for item in report_of(faulty).quantities:
         assert item.unit, item.name
         assert item.how, item.name
         assert (item.value is None) == bool(item.missing), item.name
@@ -164,7 +164,7 @@ def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     monkeypatch.setattr(
         "daq_service.cli.maintenance.acceptance.evidence.time_now_ns", lambda beat: third_h + 60 * 10**9
     )
-    made = made_of(real.folder)
+    made = report_of(real.folder)
     found = numbers(made)
     assert (found["sets_due"], found["sets_taken"], found["sets_missed"]) == (3, 3, 0)
     assert (found["unplanned_ends"], found["restarts"]) == (0, 0)
@@ -173,7 +173,7 @@ def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
 
 def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
     real.recorder_ends()
-    made = made_of(real.folder)
+    made = report_of(real.folder)
     found = numbers(made)
     # Long over by this computer's clock, but for the last set: it could be under way.
     assert (found["sets_taken"], found["sets_missed"]) == (3, len(real.due) - 1 - 3)
@@ -188,7 +188,7 @@ def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
 def test_a_test_that_was_stopped_lacks_nothing_after_its_end(real):
     real.say("recorder_stopped", real.due[2].due_utc_ns + 1)
     real.recorder_ends()
-    found = numbers(made_of(real.folder))
+    found = numbers(report_of(real.folder))
     assert (found["sets_due"], found["sets_missed"], found["unplanned_ends"]) == (3, 0, 0)
 
 
@@ -196,7 +196,7 @@ def test_only_a_restart_after_a_kill_counts_as_an_unexpected_end(real):
     real.say("recorder_started", before="the recorder was killed")
     real.say("recorder_stopped")
     real.say("recorder_started", before="the recorder had been stopped")
-    made = made_of(real.folder)
+    made = report_of(real.folder)
     assert (numbers(made)["restarts"], numbers(made)["unplanned_ends"]) == (2, 1)
     assert [row[1:] for row in rows(made, "restarts")] == [
         ("no word", "the recorder was killed"),
@@ -217,7 +217,7 @@ def test_a_recorder_crash_during_a_set_is_counted(tmp_path):
     with pytest.raises(SystemExit):
         line.run(machine=watch())
     assert line.run(machine=watch(), cause="it was killed")
-    made = made_of(line.folder)
+    made = report_of(line.folder)
     found = numbers(made)
     assert (found["restarts"], found["unplanned_ends"], found["sets_taken"]) == (1, 1, SETS)
     assert found["files_read_again"] == 2 * 2, "of both recorders"
@@ -252,7 +252,7 @@ def test_delays_are_quantiles_of_start_less_due(real):
 def test_clock_steps_are_listed_and_assessed(real):
     step = {"step_s": -90.0, "ahead_s": -90.0}
     real.say("clock_step", real.due[1].due_utc_ns, **step)
-    made = made_of(real.folder)
+    made = report_of(real.folder)
     assert numbers(made)["clock_step_max_s"] == 90.0
     assert rows(made, "clock_steps") == [(real.due[1].due_h, -90.0, -90.0)]
     assert states(made)["clock_step_max_s"] == "fail"
@@ -323,7 +323,7 @@ def test_few_readings_give_no_result(evidence):
 
 
 def test_readings_of_a_real_run_are_reported(faulty):
-    found = numbers(made_of(faulty))
+    found = numbers(report_of(faulty))
     assert found["free_bytes_min"] == 3 * 10**9
     assert found["files_read_again"] == 2
     assert found["resident_bytes_max"] > 10**6
@@ -377,8 +377,8 @@ def test_the_outcome_is_that_of_the_worst_criterion():
 
 
 def test_limits_are_overridden_by_name(faulty):
-    assert states(made_of(faulty))["sets_taken_fraction"] == "fail"
-    found = states(made_of(faulty, "sets_taken_fraction=0.75", "longest_gap_h=1.4", "unplanned_ends=off"))
+    assert states(report_of(faulty))["sets_taken_fraction"] == "fail"
+    found = states(report_of(faulty, "sets_taken_fraction=0.75", "longest_gap_h=1.4", "unplanned_ends=off"))
     assert [found[name] for name in ("sets_taken_fraction", "longest_gap_h", "unplanned_ends")] == [
         "pass",
         "fail",
@@ -466,7 +466,7 @@ def test_the_shape_of_the_json(recorded):
 
 
 def test_files_of_the_sets_are_those_on_the_disk_and_near_the_forecast(recorded):
-    found = numbers(made_of(recorded))
+    found = numbers(report_of(recorded))
     sizes = [path.stat().st_size for path in (recorded / "sets").glob("*.h5")]
     assert found["files_bytes"] == sum(sizes) > 0
     assert found["growth_bytes"] == pytest.approx(1000 * np.mean(sizes))
@@ -547,5 +547,5 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
 
 
 def test_the_json_holds_what_the_certificate_says(faulty):
-    made = made_of(faulty)
+    made = report_of(faulty)
     assert json.loads(json.dumps(as_json(made), allow_nan=False))["verdict"] == made.outcome

@@ -34,7 +34,7 @@ WITH_SUPPLY = 'name = "50 % \\"wall\\""\n[rig]\nstall_timeout_s = 180.0\n' + SUP
 TASKS = "{http://schemas.microsoft.com/windows/2004/02/mit/task}"
 
 
-def written(config: Path, manager: str, *options: str) -> dict[str, Any]:
+def write_service(config: Path, manager: str, *options: str) -> dict[str, Any]:
     arguments = [
         "service",
         manager,
@@ -67,7 +67,7 @@ def unit(path: str) -> configparser.ConfigParser:
 
 
 def units(config: Path) -> dict[str, configparser.ConfigParser]:
-    files = written(config, "systemd", "--user", "ada")["files"]
+    files = write_service(config, "systemd", "--user", "ada")["files"]
     return {Path(file).stem.removeprefix("solimon-"): unit(file) for file in files}
 
 
@@ -81,12 +81,12 @@ def verify(*files: str) -> str:
 
 
 def test_systemd_verifies_the_units(config: Path) -> None:
-    assert verify(*written(config, "systemd", "--user", "root")["files"]) == ""
+    assert verify(*write_service(config, "systemd", "--user", "root")["files"]) == ""
 
 
 def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> None:
     """This shows that the check above can fail."""
-    recorder = written(config, "systemd", "--user", "root")["files"][0]
+    recorder = write_service(config, "systemd", "--user", "root")["files"][0]
     text = Path(recorder).read_text(encoding="utf-8")
     Path(recorder).write_text(text.replace("WatchdogSec=", "WatchdogSeconds="), encoding="utf-8")
     assert "WatchdogSeconds" in verify(recorder)
@@ -132,7 +132,7 @@ def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None
 
 @pytest.mark.parametrize("manager", ["systemd", "windows"])
 def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> None:
-    files = written(config, manager)["files"]
+    files = write_service(config, manager)["files"]
     if manager == "systemd":
         lines = [unit(file)["Service"]["ExecStart"].replace("%%", "%").replace("$$", "$") for file in files]
         commands = [shlex.split(line) for line in lines]
@@ -156,7 +156,7 @@ def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> Non
 
 
 def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
-    answer = written(config, "windows", "--user", "LAB\\ada", "--name", "wall")
+    answer = write_service(config, "windows", "--user", "LAB\\ada", "--name", "wall")
     assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-drive.xml"]
     assert answer["install"][0] == f'schtasks /create /f /tn "wall" /xml "{answer["files"][0]}"'
     task = ElementTree.fromstring(Path(answer["files"][0]).read_bytes())
@@ -169,7 +169,7 @@ def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_t
 
 
 def test_one_command_installs_and_starts_the_units(config: Path) -> None:
-    answer = written(config, "systemd")
+    answer = write_service(config, "systemd")
     (line,) = answer["install"]
     names = [Path(file).name for file in answer["files"]]
     copy = [

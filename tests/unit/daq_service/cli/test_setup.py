@@ -48,7 +48,7 @@ def bench(**values):
     )
 
 
-def asked_aside(dialogue, question, understood=str):
+def ask_in_thread(dialogue, question, understood=str):
     """Ask in another thread; return the queue of the answer."""
     value = queue.Queue()
     before = dialogue.number
@@ -86,13 +86,13 @@ def test_the_end_of_the_input_is_reported_with_the_open_question(monkeypatch):
 def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
     dialogue = Dialogue()
     assert not dialogue.answer(0, "strike"), "nothing is asked"
-    value = asked_aside(dialogue, HEIGHT, float)
+    value = ask_in_thread(dialogue, HEIGHT, float)
     shown = dialogue.as_row()["question"]
     assert (shown["name"], shown["default"], shown["choices"]) == ("height", "0.005", [])
     assert dialogue.answer(shown["number"], "0.004")
     assert value.get() == 0.004
     assert dialogue.as_row()["question"] is None
-    value = asked_aside(dialogue, LEAVE)
+    value = ask_in_thread(dialogue, LEAVE)
     assert not dialogue.answer(shown["number"], "strike"), "that was an answer to the height"
     assert dialogue.answer(dialogue.number, "go on")
     assert value.get() == "go on"
@@ -101,13 +101,13 @@ def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
 def test_a_second_answer_to_one_question_is_none_to_the_next(terminal):
     """Page and terminal answer at the same time: the later answer must not cause a strike."""
     dialogue = Dialogue()
-    value = asked_aside(dialogue, HEIGHT, float)
+    value = ask_in_thread(dialogue, HEIGHT, float)
     number = dialogue.number
     with dialogue._lock:  # it cannot end before both are under way
         dialogue._answers.put(_Answer("0.004", number))
         dialogue._answers.put(_Answer("strike", number))
     assert value.get() == 0.004
-    value = asked_aside(dialogue, LEAVE)
+    value = ask_in_thread(dialogue, LEAVE)
     terminal.write("go on\n")
     terminal.flush()
     assert value.get() == "go on"
@@ -140,7 +140,7 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
         assert "script-src 'self'" in page.headers["Content-Security-Policy"]
         assert api.get("/static/setup.js").status_code == 200
         assert api.get("/static/../server.py").status_code == 404
-        value = asked_aside(dialogue, LEAVE)
+        value = ask_in_thread(dialogue, LEAVE)
         body = {"number": dialogue.number, "text": "strike"}
         foreign = {"Origin": "http://elsewhere.example"}
         assert api.post("/api/answer", json=body, headers=foreign).status_code == 403

@@ -35,7 +35,9 @@ def filled(tmp_path: Path) -> Iterator[FilledFolder]:
     folder.close()
 
 
-def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed") -> None:
+def store_missed_set(
+    filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed"
+) -> None:
     """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
     commit = SetCommit()
@@ -156,8 +158,8 @@ def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
 
 def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:
     for index in range(SETS, SETS + 3):
-        missed(filled, index, "held by ann")
-    missed(filled, SETS + 3, "no trigger", "D")
+        store_missed_set(filled, index, "held by ann")
+    store_missed_set(filled, SETS + 3, "no trigger", "D")
     hour = f"hour {filled.due[SETS + 2].due_h:g}"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert lines == [
@@ -165,7 +167,7 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
         f"gap  set {SETS + 3} missed at D, hour {filled.due[SETS + 3].due_h:g}: no trigger",
     ]
     for index in range(SETS + 4, SETS + 14):
-        missed(filled, index, f"cause {index}", "D")
+        store_missed_set(filled, index, f"cause {index}", "D")
     facts = describe_status(filled.folder, filled.settings)
     assert [gap["set_index"] for gap in facts["gaps"]] == list(range(SETS + 14 - GAPS_A_POSITION, SETS + 14))
 
@@ -288,8 +290,8 @@ def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
 
 
 def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFolder) -> None:
-    missed(filled, SETS, "a stop", "B", state="partial")
-    missed(filled, SETS, "a stop", "C", "D")
+    store_missed_set(filled, SETS, "a stop", "B", state="partial")
+    store_missed_set(filled, SETS, "a stop", "C", "D")
     at = f"hour {filled.due[SETS].due_h:g}: a stop"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert sorted(lines) == [f"gap  set {SETS} missed at C, D, {at}", f"gap  set {SETS} partial at B, {at}"]

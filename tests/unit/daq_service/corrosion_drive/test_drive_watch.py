@@ -32,14 +32,14 @@ class Supply:
         self.on = True
 
 
-class NothingBefore:
+class EmptyCatalogue:
     """Catalogue double without a row of the supply."""
 
     def last_environment(self):
         return None
 
 
-def tripped(*, acknowledged=False):
+def trip_alarm(*, acknowledged=False):
     """Return the stored alarm of a tripped interlock."""
     condition = Condition(
         position=None,
@@ -54,7 +54,7 @@ def tripped(*, acknowledged=False):
     return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
 
 
-def watched(*alarms, off_at_end=False):
+def start_watch(*alarms, off_at_end=False):
     """Return a watch started with these alarms, its supply and the stored rows."""
     clock = TestClock()
     supply, stored = Supply(clock), []
@@ -69,19 +69,19 @@ def watched(*alarms, off_at_end=False):
         if change is not None:
             transaction.add_alarm(change, moment)
 
-    return DriveWatch(settings, rig, NothingBefore(), known, carry, stored.append), supply, stored
+    return DriveWatch(settings, rig, EmptyCatalogue(), known, carry, stored.append), supply, stored
 
 
 @pytest.mark.parametrize("acknowledged", [False, True])
 def test_an_active_trip_keeps_the_interlock_tripped_after_a_restart(acknowledged):
-    watch, supply, _ = watched(tripped(acknowledged=acknowledged))
+    watch, supply, _ = start_watch(trip_alarm(acknowledged=acknowledged))
     watch.tick(2.0)
     assert not supply.on
     assert watch.summary()["supply_tripped"] == "hole at B"
 
 
 def test_an_alarm_is_stored_when_it_changes_and_once():
-    watch, supply, stored = watched()
+    watch, supply, stored = start_watch()
     answer = watch.supply_on("Ada", 0.5, voltage_v=None, current_limit_a=None)
     assert answer() == "the supply is on, read back as commanded"
     watch.tick(1.0)
@@ -101,7 +101,7 @@ def test_an_alarm_is_stored_when_it_changes_and_once():
     ],
 )
 def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, expected, on):
-    watch, supply, _ = watched(off_at_end=off_at_end)
+    watch, supply, _ = start_watch(off_at_end=off_at_end)
     supply.error = error
     assert watch.end() == expected
     assert supply.on is on

@@ -99,7 +99,7 @@ def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
 
 
 def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: Path) -> None:
-    def writes(cost_ns: int) -> int:
+    def count_writes(cost_ns: int) -> int:
         clock = FakeMonotonic()
         heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
         seen = set()
@@ -115,9 +115,9 @@ def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: P
             clock.now_ns += 5_000_000
         return len(seen)
 
-    assert writes(cost_ns=0) == 100
+    assert count_writes(cost_ns=0) == 100
     # 0.5 s and the looks at the clock; a beat is followed by 100 ms without another.
-    assert 4 <= writes(cost_ns=1_000_000) <= 7
+    assert 4 <= count_writes(cost_ns=1_000_000) <= 7
 
 
 def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from daq_service.processes.printing import end_process, print_line
 """
 
 
-def started(
+def run_python(
     script: str, inherit: Callable[[], object] = lambda: None, **streams: int
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
@@ -47,7 +47,7 @@ def close_streams() -> None:
 
 
 def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
-    done = started(
+    done = run_python(
         f"file = open({str(tmp_path / 'set.h5')!r}, 'w')\n"
         "assert file.fileno() > 2\n"
         "print('no data'); print_line('no data'); os.write(2, b'of a library')\n"
@@ -60,7 +60,7 @@ def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
 
 
 def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal() -> None:
-    done = started(
+    done = run_python(
         "import subprocess\nchild = subprocess.run([sys.executable, '-c', 'raise SystemExit(7)'])\n"
         "sys.exit(child.returncode)",
         lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN),
@@ -69,7 +69,7 @@ def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal(
 
 
 def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
-    done = started(
+    done = run_python(
         "os.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(60)",
         lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
     )
@@ -80,7 +80,7 @@ def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
 def test_a_timer_inherited_from_the_parent_is_cancelled(timer: str) -> None:
     """Timers such as `alarm` survive the start of another program and would end it."""
     number = getattr(signal, timer)
-    done = started(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
+    done = run_python(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
     assert done.stdout == "0.0\n"
 
 
@@ -89,7 +89,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 100_000))
         resource.setrlimit(resource.RLIMIT_CPU, (60, 3600))
 
-    done = started(
+    done = run_python(
         "import resource\nprint(resource.getrlimit(resource.RLIMIT_FSIZE), "
         "resource.getrlimit(resource.RLIMIT_CPU))",
         limit,
@@ -99,7 +99,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
 
 def test_a_background_process_that_prints_is_not_stopped() -> None:
     """After `stty tostop` SIGTTOU would stop the process."""
-    done = started("print(signal.getsignal(signal.SIGTTOU).name)")
+    done = run_python("print(signal.getsignal(signal.SIGTTOU).name)")
     assert done.stdout == "SIG_IGN\n"
 
 
@@ -110,13 +110,13 @@ def test_files_are_readable_by_their_owner_and_not_writable_by_others(
     mask: int, expected: int, tmp_path: Path
 ) -> None:
     path = tmp_path / "set.h5"
-    assert started(f"open({str(path)!r}, 'w').close()", lambda: os.umask(mask)).returncode == 0
+    assert run_python(f"open({str(path)!r}, 'w').close()", lambda: os.umask(mask)).returncode == 0
     assert path.stat().st_mode & 0o777 == expected
 
 
 def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
-    done = started(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
+    done = run_python(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
     assert (done.returncode, done.stdout) == (0, "D\\xb2 9.1\n\\u2013\n")
 
 
@@ -127,7 +127,7 @@ def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) ->
         os.chdir(gone)
         gone.rmdir()
 
-    done = started("print(os.getcwd())", leave)
+    done = run_python("print(os.getcwd())", leave)
     assert (done.returncode, done.stdout) == (0, "/\n")
 
 
@@ -145,7 +145,7 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
 @pytest.mark.parametrize("code", [0, 3])
 def test_a_full_disk_below_the_streams_changes_no_exit_code(code: int) -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
-        done = started(
+        done = run_python(
             f"print_line('a line'); print_line('a line', err=False); end_process({code}); sys.exit({code})",
             stdout=full.fileno(),
             stderr=full.fileno(),
@@ -169,7 +169,7 @@ def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
     """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
-        assert started(script, stderr=writer).returncode == 3
+        assert run_python(script, stderr=writer).returncode == 3
     finally:
         os.close(reader)
         os.close(writer)
@@ -177,5 +177,5 @@ def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
 
 def test_python_inspect_does_not_change_the_exit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONINSPECT", "1")
-    done = started("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
+    done = run_python("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "")

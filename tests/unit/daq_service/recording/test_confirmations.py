@@ -33,14 +33,14 @@ def settings(schedule=None, baseline=None, **alarms):
     )
 
 
-def sick(*sets, position="B", shift=1.0):
+def deviating(*sets, position="B", shift=1.0):
     """Return a script in which a transducer deviates in some scheduled sets and their confirmation sets."""
     return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
 
 
 def with_incident_wave(key):
     """Return the same shot with a healthy incident wave, so that a diagnosis is possible."""
-    found = sick(*range(FIRST, SETS))(key)
+    found = deviating(*range(FIRST, SETS))(key)
     noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index, 1]).standard_normal(2)
     height_v, width_s = 0.5 * (1.0 + 0.01 * noise[0]), 65e-6 * (1.0 + 0.01 * noise[1])
     return replace(found, isw_amplitude_v=float(height_v), isw_fwhm_s=float(width_s))
@@ -50,10 +50,10 @@ def with_incident_wave(key):
 def line(tmp_path):
     folder = tmp_path / "data"
     folder.mkdir()
-    return Line(folder, settings(), sick(*range(FIRST, SETS)))
+    return Line(folder, settings(), deviating(*range(FIRST, SETS)))
 
 
-def ordered_at(line, place, kind, **arguments):
+def send_at(line, place, kind, **arguments):
     """Send a command once, when a shot is read."""
     script, left = line.script, [place]
 
@@ -77,15 +77,15 @@ def the_alarm(line):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def undisturbed(tmp_path_factory):
     """Return an undisturbed test; read-only."""
-    one = Line(tmp_path_factory.mktemp("whole"), settings(), sick(*range(FIRST, SETS)))
+    one = Line(tmp_path_factory.mktemp("whole"), settings(), deviating(*range(FIRST, SETS)))
     assert one.run()
     return one
 
 
-def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(whole):
-    line = whole
+def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undisturbed):
+    line = undisturbed
     first, third = confirmation_rows(line)
     assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
         ("B", AFTER_FIRST, "done"),
@@ -107,17 +107,17 @@ def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(whole):
     assert confirmation.distance_squared > confirmation.limit
 
 
-def test_the_evidence_of_the_alarm_has_the_confirmation_result(whole):
-    changes = [row for row in whole.rows("events") if row.position == "B" and row.topic == "alarms"]
+def test_the_evidence_of_the_alarm_has_the_confirmation_result(undisturbed):
+    changes = [row for row in undisturbed.rows("events") if row.position == "B" and row.topic == "alarms"]
     assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
     proven = [row.payload["proof"]["confirmation"] for row in changes]
     assert [confirmation["set_index"] for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
-    assert the_alarm(whole).proof["confirmation"] == proven[1]
+    assert the_alarm(undisturbed).proof["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
 
 
-def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(whole):
-    asked = [row.payload["because"] for row in whole.rows("events") if row.kind == "confirmation_asked"]
+def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(undisturbed):
+    asked = [row.payload["because"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"]
     assert asked == [STEP, ALARM]
 
 
@@ -131,8 +131,8 @@ def test_a_single_odd_set_is_not_confirmed(line):
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
 
 
-def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_sets(whole, line):
-    without, line = line, whole
+def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_sets(undisturbed, line):
+    without, line = line, undisturbed
     without.settings = settings(confirmation_sets_a_day=0)
     without.run()
     assert confirmation_rows(line)
@@ -158,7 +158,7 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
 def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     line.settings = settings(confirmation_sets_a_day=1)
 
-    ordered_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
+    send_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
     line.run()
     assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
     asked = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
@@ -175,7 +175,7 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
 )
 def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, order, refused):
     line.script = healthy
-    ordered_at(line, ("C", at, 0), "confirm", **order)
+    send_at(line, ("C", at, 0), "confirm", **order)
     line.run()
     with line.catalogue() as catalogue:
         (command,) = catalogue.rows(CommandRow)
@@ -185,7 +185,7 @@ def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, orde
 
 
 def test_a_pause_ends_a_confirmation_set(line):
-    ordered_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
+    send_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
     line.run()
     (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
@@ -204,11 +204,11 @@ def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     def stopping(key):
         if (key.set_index, key.shot_index) == (AFTER_FIRST, 1):
             stop.set()
-        return sick(*range(FIRST, SETS))(key)
+        return deviating(*range(FIRST, SETS))(key)
 
     line.script = stopping
     assert not line.run(stop=stop, archive=MemoryArchive(line.shelf))
-    line.script = sick(*range(FIRST, SETS))
+    line.script = deviating(*range(FIRST, SETS))
     assert line.run(archive=MemoryArchive(line.shelf))
     first, _ = confirmation_rows(line)
     assert first.state == "done"
@@ -265,7 +265,7 @@ class DyingArchive(MemoryArchive):
 
 
 @pytest.mark.parametrize("stored", [True, False])
-def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
+def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stored):
     with pytest.raises(Killed):
         line.run(archive=DyingArchive(line, stored=stored))
     assert not confirmation_rows(line)
@@ -273,11 +273,13 @@ def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
     facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
     rows = [
         [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(one)]
-        for one in (line, whole)
+        for one in (line, undisturbed)
     ]
     assert rows[0] == rows[1]
     ids = {"id": None, "sequence": None}
-    features = [[replace(row, **ids) for row in confirmation_rows(one, FeatureRow)] for one in (line, whole)]
+    features = [
+        [replace(row, **ids) for row in confirmation_rows(one, FeatureRow)] for one in (line, undisturbed)
+    ]
     assert features[0] == features[1]
 
 
@@ -294,11 +296,11 @@ def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(
     def stopping(key):
         if key.set_index == AFTER_FIRST:
             stop.set()
-        return sick(*range(FIRST, SETS))(key)
+        return deviating(*range(FIRST, SETS))(key)
 
     line.script = stopping
     line.run(stop=stop, archive=MemoryArchive(line.shelf))
-    line.script = sick(*range(FIRST, SETS))
+    line.script = deviating(*range(FIRST, SETS))
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = confirmation_rows(line)[0]
     assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)

@@ -92,7 +92,7 @@ def test_a_wake_up_of_the_computer_reports_no_missing_service(web: Web) -> None:
     assert next(web.looks(watch, 1.0)) is False
 
 
-class Scripted(WebWatch):
+class ScriptedWatch(WebWatch):
     """Callable that returns the items of a list, then always the last item."""
 
     def __init__(self, folder: Path, *answers: bool | None) -> None:
@@ -113,7 +113,7 @@ def events(line: Line) -> list[tuple[str, str]]:
 
 def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: Path) -> None:
     line = Line(tmp_path)
-    assert line.run(web=Scripted(tmp_path, False, None, True, True, None, False, False))
+    assert line.run(web=ScriptedWatch(tmp_path, False, None, True, True, None, False, False))
     kind = "web_not_responding"
     assert events(line) == [(kind, "alarm_raised"), (kind, "alarm_cleared")]
     with line.catalogue() as catalogue:

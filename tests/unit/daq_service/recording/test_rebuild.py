@@ -45,7 +45,7 @@ def line(life, tmp_path):
     return replace(life, folder=folder)
 
 
-def made_again(line, **options):
+def rebuild_catalogue(line, **options):
     return rebuild(line.folder, features_of=line.features_of, **options)
 
 
@@ -53,7 +53,7 @@ def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
     calls = []
-    made = made_again(line, progress=lambda done, total: calls.append((done, total)))
+    made = rebuild_catalogue(line, progress=lambda done, total: calls.append((done, total)))
     assert table_rows(line.folder) == before
     assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
     assert calls[-1] == (made.sets, made.sets)
@@ -87,7 +87,7 @@ def test_a_test_on_the_wall_clock_is_rebuilt_with_its_hour_0(on_the_wall_clock, 
 def test_the_history_alone_identifies_the_experiment(line):
     before, kept = table_rows(line.folder), read_experiment(line.folder)
     lose_catalogue(line.folder, EXPERIMENT_FILE)
-    made_again(line)
+    rebuild_catalogue(line)
     assert table_rows(line.folder) == before
     assert read_experiment(line.folder) == kept
 
@@ -95,7 +95,7 @@ def test_the_history_alone_identifies_the_experiment(line):
 def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line):
     before = table_rows(line.folder)
     (line.folder / HISTORY_FILE).unlink()
-    made = made_again(line)
+    made = rebuild_catalogue(line)
     assert table_rows(line.folder) == before
     assert (line.folder / made.kept).exists()
     assert (line.folder / HISTORY_FILE).exists()
@@ -103,8 +103,8 @@ def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line)
 
 def test_a_second_rebuild_changes_nothing(line):
     before = table_rows(line.folder)
-    made_again(line)
-    made_again(line)
+    rebuild_catalogue(line)
+    rebuild_catalogue(line)
     assert table_rows(line.folder) == before
 
 
@@ -113,7 +113,7 @@ def test_the_files_alone_restore_all_rows_of_their_sets(line):
         before = [row for row in catalogue.rows(SetRow) if row.file]
         epoch = catalogue.experiment_row().epoch_utc_ns
     lose_catalogue(line.folder, EXPERIMENT_FILE, HISTORY_FILE)
-    made_again(line)
+    rebuild_catalogue(line)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.experiment_row().epoch_utc_ns == epoch
         after = [row for row in catalogue.rows(SetRow) if row.file]
@@ -155,7 +155,7 @@ def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp
     ]
     for files in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
         lose_catalogue(line.folder, *files)
-        assert made_again(line).warnings == []
+        assert rebuild_catalogue(line).warnings == []
         assert line.rows("alarms") == before
 
 
@@ -167,7 +167,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     del lines[number]
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
-    made = made_again(line)
+    made = rebuild_catalogue(line)
     assert any("history" in warning and f"{number + 1}" in warning for warning in made.warnings)
     after = table_rows(line.folder)
     assert [row for row in before["events"] if row not in after["events"]] == [
@@ -184,7 +184,7 @@ def test_a_lost_line_that_a_set_implies_gets_its_id_again(line):
     lines[number] = lines[number].replace(b"set_features", b"set_Features")
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
-    assert made_again(line).warnings
+    assert rebuild_catalogue(line).warnings
     after = table_rows(line.folder)
     assert [row[0] for row in after["events"]] == [row[0] for row in before["events"]]
     # When it was written is lost, and so are the checksum's bits.
@@ -199,7 +199,7 @@ def test_a_set_without_its_file_keeps_its_rows(line):
         alarms = catalogue.rows(AlarmRow)
     set_files(line.folder)[6].unlink()
     lose_catalogue(line.folder)
-    made = made_again(line)
+    made = rebuild_catalogue(line)
     assert any("set 6" in warning for warning in made.warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow) == sets
@@ -215,7 +215,7 @@ def test_a_replaced_file_causes_a_warning(line):
     lose_catalogue(line.folder)
     file = set_files(line.folder)[1]
     file.write_bytes(file.read_bytes() + b" ")
-    assert any("SHA-256" in warning for warning in made_again(line).warnings)
+    assert any("SHA-256" in warning for warning in rebuild_catalogue(line).warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow, set_index=1)[0].file_sha256 == digest
 
@@ -228,7 +228,7 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
     file.write_bytes(build_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)
-    warnings = made_again(line).warnings
+    warnings = rebuild_catalogue(line).warnings
     assert any(
         "set 1, its file: features" in warning and "in the file 1.0" in warning for warning in warnings
     )
@@ -246,7 +246,7 @@ def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):
     shutil.copy(stray, line.folder / "sets" / stray.name.replace("000000", "000099"))
     before = table_rows(line.folder)
     with pytest.raises(OtherExperimentError, match=r"set_000099.*configuration") as refusal:
-        made_again(line)
+        rebuild_catalogue(line)
     assert other.settings.configuration_hash() in str(refusal.value)
     assert table_rows(line.folder) == before
     assert not (line.folder / BUILDING).exists()
@@ -257,7 +257,7 @@ def test_a_catalogue_of_another_hour_0_is_refused(line, tmp_path):
         row = catalogue.experiment_row()
         catalogue.restore([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
     with pytest.raises(OtherExperimentError, match="two experiments"):
-        made_again(line)
+        rebuild_catalogue(line)
 
 
 def test_a_folder_without_a_test_is_refused(tmp_path):

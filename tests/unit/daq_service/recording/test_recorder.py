@@ -112,24 +112,24 @@ class FullDisk(MemoryArchive):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def undisturbed(tmp_path_factory):
     """Return an undisturbed test; read-only."""
     one = Line(tmp_path_factory.mktemp("whole"))
     one.run()
     return one
 
 
-def assert_same_rows(line, whole):
+def assert_same_rows(line, undisturbed):
     for table in ("sets", "shots", "features", "thickness", "verdicts", "baselines"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 @pytest.mark.parametrize(
     "error", [ArchiveWriteError("No space left on device"), OSError(24, "Too many open files")]
 )
-def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, whole, error):
+def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, undisturbed, error):
     assert line.run(archive=FullDisk(line, 3, 7, error), mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
@@ -138,15 +138,15 @@ def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, whole, err
     assert line.heartbeat.told[-1] == "leaving"
 
 
-def test_in_real_time_sets_are_struck_on_and_stored_later(line, whole):
+def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     disk = FullDisk(line, 3, 4)
     assert line.run(archive=disk, mono_s=Seconds(0.4))
     waited = [doing for doing in line.heartbeat.told if "wait in memory" in doing]
     assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
-    assert line.instruments[0].struck == whole.instruments[0].struck
+    assert line.instruments[0].struck == undisturbed.instruments[0].struck
     for table in ("sets", "features", "verdicts"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
@@ -167,7 +167,9 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
 
 
 @pytest.mark.parametrize("stored_all_the_same", [False, True])
-def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeypatch, stored_all_the_same):
+def test_a_commit_that_failed_is_repeated_and_never_doubled(
+    line, undisturbed, monkeypatch, stored_all_the_same
+):
     commit, failures = RecorderCatalogue.commit_set, iter([True] * 3)
 
     def failing(catalogue, transaction):
@@ -179,7 +181,7 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
 
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
     assert line.run(mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
 
 
@@ -291,9 +293,9 @@ class Volume:
         return DiskWatch(self.line.folder, StorageSettings(reserve_mb=1), usage=self, mono_s=Seconds())
 
 
-def test_below_five_percent_free_no_data_are_stored(line, whole):
+def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     alarms = {row.kind: row for row in line.alarms()}
     assert alarms["disk_space"].severity == "high"
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
@@ -305,7 +307,7 @@ def test_below_five_percent_free_no_data_are_stored(line, whole):
     )
 
 
-def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
+def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf), []
     assert line.run(
@@ -314,8 +316,8 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
         archive=archive,
         acknowledged=lambda shot_id: at.append((shot_id, volume.left)),
     )
-    assert line.instruments[0].struck == whole.instruments[0].struck
-    assert line.rows("sets") == whole.rows("sets")
+    assert line.instruments[0].struck == undisturbed.instruments[0].struck
+    assert line.rows("sets") == undisturbed.rows("sets")
     assert {left for _, left in at} == {60, 0}, "before the volume was full and after it was freed"
     assert sorted(shot_id for shot_id, _ in at) == [row.sequence for row in line.rows("shots")]
 
@@ -323,11 +325,13 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
 @pytest.mark.parametrize(
     ("free_gb", "level", "alarms"), [(15.0, "warn", []), (9.0, "alarm", [("disk_space", "medium")])]
 )
-def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, whole, free_gb, level, alarms):
+def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(
+    line, undisturbed, free_gb, level, alarms
+):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
     assert [row.payload["level"] for row in events_of(line, "disk_space")] == [level, "ample"]
     assert [(row.kind, row.severity) for row in line.alarms()] == alarms
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
 
 
 def test_a_stop_stores_pending_data_in_the_remaining_space(line, caplog):
@@ -343,34 +347,34 @@ def test_a_stop_stores_pending_data_in_the_remaining_space(line, caplog):
 
 
 def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     for count in (2, 5):  # within the baseline, twice
         with pytest.raises(Killed):
             line.run(archive=WatchedArchive(line, refuse={count}))
     line.run()
     for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
-    orphan = next(record for record in whole.shelf.sets.values() if record.set_index == 0)
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
+    orphan = next(record for record in undisturbed.shelf.sets.values() if record.set_index == 0)
     MemoryArchive(line.shelf).store_set(orphan)
     line.run()
     assert line.instruments[0].struck[0] == ("B", 1, 0, 0)
-    assert line.rows("features", "B") == whole.rows("features", "B")
-    assert line.rows("shots", "B") == whole.rows("shots", "B")
+    assert line.rows("features", "B") == undisturbed.rows("features", "B")
+    assert line.rows("shots", "B") == undisturbed.rows("shots", "B")
 
 
 def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
-    for record in list(whole.shelf.sets.values())[:2]:
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
+    for record in list(undisturbed.shelf.sets.values())[:2]:
         stored = MemoryArchive(line.shelf).store_set(record)
         line.shelf.damaged |= {(stored.file, item.sequence) for item in record.records}
     line.run(start_h=1.2)  # set 0 is over, set 1 is still due
@@ -386,11 +390,11 @@ def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path
 
 
 def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line):
-    whole = Line(line.folder.parent / "whole")
-    whole.folder.mkdir()
-    whole.run()
+    undisturbed = Line(line.folder.parent / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     archive = MemoryArchive(line.shelf)
-    archive.set_aside(archive.store_set(next(iter(whole.shelf.sets.values()))).file)
+    archive.set_aside(archive.store_set(next(iter(undisturbed.shelf.sets.values()))).file)
     line.run()
     assert [row.kind for row in line.alarms()] == ["data_damaged"]
 
@@ -528,7 +532,7 @@ def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
     assert states(line, "D") == ["done"] * SETS
 
 
-def stopped_in_a_set(line, key, **options):
+def stop_in_set(line, key, **options):
     """Run with a journal until a stop or a kill after a shot."""
     archive, stop = MemoryArchive(line.shelf), threading.Event()
     line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
@@ -540,22 +544,22 @@ def stopped_in_a_set(line, key, **options):
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
 def test_a_set_that_a_stop_cut_short_goes_on_with_the_missing_strikes_only(line, tmp_path, key):
     position, set_index, shot_index = key
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     last = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
-    archive = stopped_in_a_set(line, last)
+    archive = stop_in_set(line, last)
     assert len(line.rows("sets", "B")) == set_index
     assert line.run(archive=archive)
     before, after = (instruments.struck for instruments in line.instruments)
-    assert before + after == whole.instruments[0].struck
+    assert before + after == undisturbed.instruments[0].struck
     for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
     assert archive.open_sets() == {}
 
 
 def test_an_open_set_whose_time_is_over_keeps_its_records(line):
-    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+    archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     assert line.run(archive=archive, start_h=1.7, cause="the power was out")
     assert [states(line, position)[:3] for position in "ABCD"] == [
         ["done", "done", "done"],
@@ -570,7 +574,7 @@ def test_an_open_set_whose_time_is_over_keeps_its_records(line):
 
 
 def test_a_pause_after_a_restart_keeps_the_records_of_an_open_set(line):
-    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+    archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     line.order("hold", note="hands in the rig")
     line.listen_every_s = 0.0
     assert line.run(archive=archive)
@@ -643,7 +647,7 @@ def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def ordered_at(line, key, kind, **arguments):
+def send_at(line, key, kind, **arguments):
     """Send a command while a shot is read; it is received before the next strike."""
     line.listen_every_s = 0.0
 
@@ -656,7 +660,7 @@ def ordered_at(line, key, kind, **arguments):
 
 
 def test_a_pause_ends_the_running_set(line):
-    ordered_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
+    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
@@ -664,7 +668,7 @@ def test_a_pause_ends_the_running_set(line):
 
 
 def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
-    ordered_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
+    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "retired"]
@@ -739,7 +743,7 @@ def test_a_waiting_recorder_sends_heartbeats(line):
     assert [doing for doing in dict.fromkeys(activities) if doing in waits] == waits
 
 
-class Calibrated:
+class CalibratingBoards:
     """Boards that count their self-calibrations."""
 
     def __init__(self, error=None):
@@ -754,20 +758,20 @@ class Calibrated:
 
 @pytest.mark.parametrize(("interval_h", "times"), [(1.0, 6), (2.5, 3), (0.0, 0)])
 def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, times):
-    boards = Calibrated()
+    boards = CalibratingBoards()
     line.run(self_calibrating=boards, self_calibration_interval_h=interval_h)
     assert boards.count == times
     assert len(events_of(line, "self_calibrated")) == times
 
 
 def test_a_failed_self_calibration_is_reported_and_ends_the_test_only_if_permanent(line):
-    boards = Calibrated(BusyError("MAX holds the board"))
+    boards = CalibratingBoards(BusyError("MAX holds the board"))
     line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
     assert events_of(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
     assert states(line, "B") == ["done"] * SETS
 
 
 def test_a_self_calibration_that_can_never_work_ends_the_test(line):
-    boards = Calibrated(ConfigurationError("no such board"))
+    boards = CalibratingBoards(ConfigurationError("no such board"))
     with pytest.raises(RigError, match="self-calibration before set 0 failed: no such board"):
         line.run(self_calibrating=boards, self_calibration_interval_h=24.0)

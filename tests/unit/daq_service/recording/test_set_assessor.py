@@ -54,7 +54,7 @@ class Drive:
 
 
 @contextmanager
-def ledger_of(line):
+def assessor_of(line):
     """Return a set assessor that continues after the line's last recorder."""
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
@@ -69,10 +69,10 @@ def recorded(line, count):
     records = {record.set_index: (record, file) for file, record in line.shelf.sets.items()}
     again = Line(line.folder.parent / "again", line.settings, line.script, line.shelf)
     again.folder.mkdir()
-    with ledger_of(again) as ledger:
+    with assessor_of(again) as ledger:
         for index in range(count):
             assess_set(ledger, again, *records[index])
-    with ledger_of(again) as ledger:
+    with assessor_of(again) as ledger:
         yield ledger, again, records
 
 
@@ -111,12 +111,12 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
-        with ledger_of(again) as ledger:  # a new one for every set
+        with assessor_of(again) as ledger:  # a new one for every set
             assess_set(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
 
 
-def renewing(line):
+def renewing_script(line):
     """Return a script in which a person renews the baseline of B while set 17 is struck."""
     asked = []
 
@@ -134,7 +134,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
         baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
     )
-    line.listen_every_s, line.script = 0.0, renewing(line)
+    line.listen_every_s, line.script = 0.0, renewing_script(line)
     line.run()
     first, second = line.rows("baselines", "B")
     assert (first.id, first.name, first.state, first.last_set_index) == (2, "B-baseline-1", "retired", 14)
@@ -151,7 +151,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
     stopped.folder.mkdir()
-    script = renewing(stopped)
+    script = renewing_script(stopped)
     for set_index in (17, 20, 32, 34):  # before, while and after the successor is learnt
         run_until(stopped, "D", set_index, script)
     stopped.script = script
@@ -160,7 +160,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
         assert stopped.rows(name) == line.rows(name)
 
 
-def remembered(line, monkeypatch, looks):
+def restored_state(line, monkeypatch, looks):
     """Return the state of each transducer after a restart, and the number of sets read."""
     read = []
 
@@ -171,9 +171,9 @@ def remembered(line, monkeypatch, looks):
 
     found = RecorderCatalogue.last_rows
     monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", looks)
-    with monkeypatch.context() as patched, ledger_of(line) as ledger:
+    with monkeypatch.context() as patched, assessor_of(line) as ledger:
         patched.setattr(RecorderCatalogue, "last_rows", last_rows)
-        with ledger_of(line):
+        with assessor_of(line):
             pass
         states = [ledger._assessors[name]._state for name in "BCD"]
     known = [
@@ -200,8 +200,8 @@ def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatc
 
     line.script = script
     line.run()
-    expected, _ = remembered(line, monkeypatch, (None,))
-    assert remembered(line, monkeypatch, (2, 4, 9, None))[0] == expected
+    expected, _ = restored_state(line, monkeypatch, (None,))
+    assert restored_state(line, monkeypatch, (2, 4, 9, None))[0] == expected
     assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
 
 
@@ -214,13 +214,13 @@ def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch)
     # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
     line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
     line.run()
-    known, _ = remembered(line, monkeypatch, (4, None))
+    known, _ = restored_state(line, monkeypatch, (4, None))
     assert [alarm.active for alarm, *_ in known] == [True] * 3
 
 
 def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
     line.run()
-    _, most = remembered(line, monkeypatch, (6, None))
+    _, most = restored_state(line, monkeypatch, (6, None))
     assert most == 6
 
 

@@ -42,7 +42,7 @@ class Manager:
         return [at_s for at_s, lines in self.heard if assignment in lines]
 
 
-class HeardMachine(Machine):
+class ListeningMachine(Machine):
     """Machine whose service manager listens during each sleep."""
 
     manager: Manager
@@ -64,7 +64,7 @@ def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
         channel.setblocking(False)
         monkeypatch.setenv("NOTIFY_SOCKET", address)
         monkeypatch.setattr(wall, "IDLE_INTERVAL_S", DEADLINE_S / 2)
-        machine = HeardMachine(parse_utc("2024-01-01T00:00:00Z"))
+        machine = ListeningMachine(parse_utc("2024-01-01T00:00:00Z"))
         machine.manager = Manager(channel, machine)
         yield machine.manager
 

@@ -11,7 +11,7 @@ from hardware_drivers.measurement import ShotKey
 
 
 @dataclass(eq=False)
-class Part:
+class InstrumentDouble:
     """Striker and digitizer double that records its calls and may fail."""
 
     name: str
@@ -52,7 +52,7 @@ def calls() -> list[str]:
 
 @pytest.mark.parametrize("gone", ["one", "other", "both"])
 def test_every_striker_is_made_safe_once_even_if_another_fails(calls: list[str], gone: str) -> None:
-    one, other = (Part(name, calls, gone=gone in (name, "both")) for name in ("one", "other"))
+    one, other = (InstrumentDouble(name, calls, gone=gone in (name, "both")) for name in ("one", "other"))
     strikers = Strikers({"B": one, "C": other, "D": one}, Asking())
     with pytest.raises(ConnectionLostError):
         strikers.make_safe()
@@ -60,7 +60,7 @@ def test_every_striker_is_made_safe_once_even_if_another_fails(calls: list[str],
 
 
 def test_every_digitizer_is_disarmed(calls: list[str]) -> None:
-    one, other = Part("one", calls, gone=True), Part("other", calls)
+    one, other = InstrumentDouble("one", calls, gone=True), InstrumentDouble("other", calls)
     with pytest.raises(ConnectionLostError, match="one is gone"):
         Digitizers({"B": one, "C": other}, Asking()).disarm()
     assert sorted(calls) == ["one disarmed", "other disarmed"]
@@ -69,7 +69,7 @@ def test_every_digitizer_is_disarmed(calls: list[str]) -> None:
 def test_the_request_of_a_striker_ends_with_the_read_of_its_shot(calls: list[str]) -> None:
     asking, heard = Asking(), list[tuple[str, ShotKey | None]]()
     asking.listen(lambda text, about: heard.append((text, about)))
-    part = Part("one", calls, asking)
+    part = InstrumentDouble("one", calls, asking)
     digitizers, strikers = Digitizers({"B": part}, asking), Strikers({"B": part}, asking)
     digitizers.arm(key("B"))
     strikers.strike(key("B"))
@@ -82,7 +82,9 @@ def test_the_request_of_a_striker_ends_with_the_read_of_its_shot(calls: list[str
 
 
 def test_one_digitizer_is_armed_at_a_time(calls: list[str]) -> None:
-    digitizers = Digitizers({"B": Part("one", calls), "C": Part("other", calls)}, Asking())
+    digitizers = Digitizers(
+        {"B": InstrumentDouble("one", calls), "C": InstrumentDouble("other", calls)}, Asking()
+    )
     with pytest.raises(ConfigurationError, match="not armed"):
         digitizers.read(1.0)
     digitizers.arm(key("B"))
@@ -91,7 +93,7 @@ def test_one_digitizer_is_armed_at_a_time(calls: list[str]) -> None:
 
 
 def test_a_position_without_a_striker_is_rejected(calls: list[str]) -> None:
-    strikers = Strikers({"B": Part("one", calls)}, Asking())
+    strikers = Strikers({"B": InstrumentDouble("one", calls)}, Asking())
     with pytest.raises(
         ConfigurationError, match=r"no striker at position 'C'; there are: B; name one in \[rig"
     ):

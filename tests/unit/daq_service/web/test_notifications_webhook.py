@@ -37,7 +37,7 @@ def receiver():
         yield running
 
 
-def sent(receiver, **options):
+def send(receiver, **options):
     return post(Address(receiver.url, SECRET.encode()), MESSAGE, **options)
 
 
@@ -49,7 +49,7 @@ def is_genuine(secret: str, header: str, body: bytes) -> bool:
 
 
 def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
-    outcome = sent(receiver, now_s=lambda: 1_700_000_000.9)
+    outcome = send(receiver, now_s=lambda: 1_700_000_000.9)
     got = receiver.next()
     assert (outcome.ok, outcome.status) == (True, 204)
     header = got.headers["Solimon-Signature"]
@@ -76,7 +76,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 )
 def test_a_response_determines_the_outcome(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
-    outcome = sent(receiver, now_s=lambda: 1_000_000.0)
+    outcome = send(receiver, now_s=lambda: 1_000_000.0)
     assert message in outcome.told
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
@@ -85,7 +85,7 @@ def test_redirects_are_not_followed(receiver):
     with http_receiver() as elsewhere:
         for status in (301, 302, 307, 308):
             receiver.answers.put((status, {"Location": elsewhere.url}))
-            outcome = sent(receiver)
+            outcome = send(receiver)
             assert not outcome.ok
             assert "it points elsewhere, where nothing is sent" in outcome.told
         assert elsewhere.got.empty()
@@ -93,7 +93,7 @@ def test_redirects_are_not_followed(receiver):
 
 def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver):
     receiver.silent.set()
-    assert sent(receiver, bounds=SOON).told == "no answer within 0.2 s"
+    assert send(receiver, bounds=SOON).told == "no answer within 0.2 s"
 
 
 def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
@@ -121,7 +121,7 @@ def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
 def test_the_service_s_end_cuts_an_attempt(receiver):
     receiver.silent.set()
     cut, outcomes = Cut(), []
-    thread = threading.Thread(target=lambda: outcomes.append(sent(receiver, cut=cut)))
+    thread = threading.Thread(target=lambda: outcomes.append(send(receiver, cut=cut)))
     thread.start()
     receiver.next()
     cut.close()
@@ -131,7 +131,7 @@ def test_the_service_s_end_cuts_an_attempt(receiver):
 
 def test_an_untrusted_certificate_is_rejected(monkeypatch):
     with http_receiver(tls=TLS) as receiver:
-        outcome = sent(receiver)
+        outcome = send(receiver)
         assert not outcome.ok
         assert outcome.told.startswith("its certificate is refused:")
         assert receiver.got.empty()
@@ -253,7 +253,7 @@ def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, capl
 )
 def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
     receiver.answers.put((503, {"Retry-After": header}))
-    outcome = sent(receiver)
+    outcome = send(receiver)
     assert (outcome.ok, outcome.status) == (False, 503)
     assert 0.0 <= outcome.retry_after_s <= LONGEST_RETRY_AFTER_S
 

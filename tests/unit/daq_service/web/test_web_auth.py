@@ -45,7 +45,7 @@ def tokens(tmp_path):
     return tmp_path / "tokens.json"
 
 
-def deeds(folder, **wanted):
+def audit_entries(folder, **wanted):
     """Return the audit entries, the oldest first."""
     found = [deed for _, deed in reversed(read_audit(folder, limit=1000)[0])]
     return [deed for deed in found if all(getattr(deed, key) == value for key, value in wanted.items())]
@@ -123,9 +123,9 @@ def test_with_a_token_the_name_is_the_token_s(filled, tokens):
         refused = api.post("/api/v1/commands", json={"kind": "stop"})
         assert (refused.status_code, refused.json()["type"]) == (403, "urn:solimon:problem:role-too-low")
         assert "stop needs the role engineer; ann is operator" in refused.text
-    (held,) = deeds(filled.folder, what="hold")
+    (held,) = audit_entries(filled.folder, what="hold")
     assert (held.who, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
-    (stopped,) = deeds(filled.folder, what="stop")
+    (stopped,) = audit_entries(filled.folder, what="stop")
     assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
 
 
@@ -150,7 +150,7 @@ def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
         assert page.get(DUE).status_code == 200
         assert page.delete("/api/v1/session").json()["name"] is None
         assert page.get(DUE).status_code == 401
-    assert [(deed.what, deed.who, deed.result) for deed in deeds(filled.folder)] == [
+    assert [(deed.what, deed.who, deed.result) for deed in audit_entries(filled.folder)] == [
         ("log_in", "", "refused"),
         ("log_in", "ann", "done"),
         ("log_out", "ann", "done"),
@@ -289,7 +289,7 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
 
 
 @pytest.fixture
-def far(filled, tokens):
+def tls_service(filled, tokens):
     """Return a service with TLS and its own host name."""
     web = {"host_names": ["lab.example.org"], **ENCRYPTED}
     _, text = create_token(tokens, "ann", "operator")
@@ -297,8 +297,8 @@ def far(filled, tokens):
         yield service, f"https://127.0.0.1:{service.netloc.rpartition(':')[2]}", text
 
 
-def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
-    service, url, text = far
+def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(tls_service):
+    service, url, text = tls_service
     assert service.url.startswith("https://lab.example.org:")
     trusted = ssl.create_default_context(cafile=ENCRYPTED["tls_certificate"])
     with httpx.Client(base_url=url, verify=trusted, timeout=DEADLINE_S) as api:
@@ -316,8 +316,8 @@ def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
         assert api.post("/api/v1/commands", json=HOLD, headers=origin).status_code == 403
 
 
-def test_plain_http_at_the_tls_port_gets_no_response_and_disturbs_no_client(far, caplog):
-    _, url, text = far
+def test_plain_http_at_the_tls_port_gets_no_response_and_disturbs_no_client(tls_service, caplog):
+    _, url, text = tls_service
     host, port = url.removeprefix("https://").split(":")
     with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as plain:
         plain.sendall(
@@ -358,14 +358,14 @@ def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens
         assert api.get(DUE, headers=local).status_code == 200
         wrong = forwarded | {"X-Forwarded-Proto": "https", "Authorization": "Bearer x"}
         assert api.get(DUE, headers=wrong).status_code == 401
-    assert [deed.source for deed in deeds(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
+    assert [deed.source for deed in audit_entries(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
 
 
 def test_forwarded_addresses_are_ignored_without_a_configured_proxy(filled, tokens):
     create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         api.get(DUE, headers={"X-Forwarded-For": "10.1.2.3", "Authorization": "Bearer x"})
-    assert [deed.source for deed in deeds(filled.folder)] == ["127.0.0.1"]
+    assert [deed.source for deed in audit_entries(filled.folder)] == ["127.0.0.1"]
 
 
 def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_path, tokens):
@@ -390,13 +390,13 @@ def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tm
     for _ in range(150):
         audit.tell(**stranger, result="refused")
     audit.tell(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
-    found = deeds(tmp_path)
+    found = audit_entries(tmp_path)
     assert len(found) == 101
     assert (found[-1].who, found[-1].left_out) == ("ann", 50)
     now_s[0] += 121.0
     audit.tell(**stranger, result="refused")
     audit.tell(**stranger, result="refused")
-    assert len(deeds(tmp_path)) == 102
+    assert len(audit_entries(tmp_path)) == 102
 
 
 def test_a_torn_line_takes_no_other_with_it(tmp_path):
@@ -491,7 +491,7 @@ def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, 
         assert api.post("/api/v1/commands", json=HOLD, headers={"Origin": "http://x"}).status_code == 403
         with pytest.raises(InvalidStatus):
             connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin="http://x").close()
-    invalid, host, *origins = deeds(filled.folder)
+    invalid, host, *origins = audit_entries(filled.folder)
     assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
     assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
     assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_WHY)

@@ -43,7 +43,7 @@ def filled(tmp_path_factory):
     for index in range(N_SETS):
         folder.add_set(index, stored=index in (0, N_SETS - 1))
     alarm = folder.add_alarm("B", 52)
-    folder.acknowledge(alarm, Order(author="ann", arguments={"note": NOTE}, id=give(folder)))
+    folder.acknowledge(alarm, CommandDouble(author="ann", arguments={"note": NOTE}, id=give(folder)))
     folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
     folder.annotate(20.0, "door open")
@@ -53,7 +53,7 @@ def filled(tmp_path_factory):
     folder.close()
 
 
-class Order:
+class CommandDouble:
     """Command row as the recorder has it during the execution."""
 
     def __init__(self, **facts):
@@ -116,7 +116,7 @@ class Page(HTMLParser):
             self._heading = data
 
 
-def made(folder, *words):
+def make_report(folder, *words):
     done = CliRunner().invoke(cli, ["report", str(folder), *map(str, words)], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done
@@ -125,7 +125,7 @@ def made(folder, *words):
 @pytest.fixture(scope="module")
 def page(filled, tmp_path_factory):
     target = tmp_path_factory.mktemp("out") / "report.html"
-    made(filled.folder, "--out", target)
+    make_report(filled.folder, "--out", target)
     return Page(target.read_bytes())
 
 
@@ -251,7 +251,7 @@ def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypat
 
 
 def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
-    made(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
+    make_report(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
     part = Page((tmp_path / "part.html").read_bytes())
     rows = {row[0]: row for row in part.tables["Position B"]}
     with client.open(filled.folder) as test:
@@ -267,7 +267,7 @@ def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
 def test_a_configuration_selects_its_folder(filled, tmp_path):
     config = tmp_path / "test.toml"
     config.write_text(f"[storage]\nfolder = {json.dumps(str(filled.folder))}\n")
-    answer = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)
+    answer = json.loads(make_report(config, "--out", tmp_path / "a.html", "--json").stdout)
     assert (answer["ok"], answer["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
 
 
@@ -281,11 +281,11 @@ def test_a_configuration_selects_its_folder(filled, tmp_path):
 def test_an_impossible_report_is_rejected_and_nothing_is_written(words, message, filled, tmp_path):
     target = tmp_path / "a.html"
     with pytest.raises(UsageError, match=message):
-        made(filled.folder, *words, "--out", target)
+        make_report(filled.folder, *words, "--out", target)
     assert not target.exists()
     target.write_text("older")
     with pytest.raises(UsageError, match="--overwrite"):
-        made(filled.folder, "--out", target)
+        make_report(filled.folder, "--out", target)
     assert target.read_text() == "older"
 
 

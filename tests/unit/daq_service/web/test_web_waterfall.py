@@ -56,7 +56,7 @@ def read(answer):
     return header, planes.reshape(2, header["rows"], header["columns"])
 
 
-def by_hand(filled, position, header, index):
+def expected_extremes(filled, position, header, index):
     """Return the extremes of a set's samples in the columns of a figure, computed from its file."""
     record = read_set(set_files(filled.folder)[index])
     anchors = anchors_of(results_in(filled.catalogue, index))
@@ -95,7 +95,7 @@ def test_a_waterfall_has_the_extremes_of_the_records(api, filled, position, quer
     assert header["first_set"] == header["last_set"] == stored
     assert header["first_h"] == [filled.due[index].due_h for index in stored]
     for row, index in enumerate(stored):
-        np.testing.assert_array_equal(planes[:, row], by_hand(filled, position, header, index))
+        np.testing.assert_array_equal(planes[:, row], expected_extremes(filled, position, header, index))
     # A row ends where the next set is due, whether that was taken or not.
     assert header["until_h"] == pytest.approx([filled.due[index + 1].due_h for index in stored])
 
@@ -134,7 +134,7 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
     header, difference = read(api.get("/api/v1/waterfall/B?as=difference&columns=1024"))
     assert header["baseline_sets"] == N_SETS - len(MISSED)
     rows = [index for index in range(N_SETS) if index not in MISSED]
-    volts = np.stack([by_hand(filled, "B", header, index) for index in rows], axis=1)
+    volts = np.stack([expected_extremes(filled, "B", header, index) for index in rows], axis=1)
     mean = volts.astype(np.float64).mean(axis=1, keepdims=True).astype(np.float32)
     np.testing.assert_array_equal(difference, volts - mean)
     echo, planes = read(api.get("/api/v1/waterfall/A?as=difference&rows=50"))

@@ -392,7 +392,7 @@ def test_a_full_volume_is_reported_even_if_the_test_would_fit(
 # Owner ----------------------------------------------------------------------------------------------
 
 
-def started(folder: Path) -> str:
+def recorder_error(folder: Path) -> str:
     """Run a recorder that takes the folder and ends; return its error if the folder is in use."""
     try:
         with own_data_folder(folder, patience_s=0.0):
@@ -406,18 +406,18 @@ def test_no_recorder_starts_while_the_doctor_strikes(
 ) -> None:
     folder = tmp_path / "data"
     prepare_data_folder(folder)
-    assert started(folder) == "", "a recorder was here"
+    assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
     def striking(settings: Settings, position: str) -> Trial:
-        seen.append(started(folder))
+        seen.append(recorder_error(folder))
         return Trial(position=position, checks=())
 
     monkeypatch.setattr("daq_service.cli.doctor.command.strike_transducer", striking)
     run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
     capsys.readouterr()
     assert "another recorder owns" in seen[0]
-    assert started(folder) == ""
+    assert recorder_error(folder) == ""
 
 
 def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
@@ -426,11 +426,11 @@ def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
     """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
-    assert started(folder) == "", "a recorder was here"
+    assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
     def looking(*arguments: object, **driven: bool) -> list[Check]:
-        seen.append(started(folder))
+        seen.append(recorder_error(folder))
         return []
 
     monkeypatch.setattr("daq_service.cli.doctor.command.rig_checks", looking)
@@ -463,7 +463,7 @@ def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path: Path) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class SurveyResult:
     """Survey with given results: `hardware_drivers.daqmx.survey.survey` has its own tests."""
 
     findings: tuple[Finding, ...] = ()
@@ -472,7 +472,7 @@ class Found:
     noise_rms_v: dict[str, float] = field(default_factory=dict)
 
 
-def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
+def checks_by_name(found: SurveyResult, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     assert LABORATORY.daqmx is not None
     seen = findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
     return by_name([told(finding) for finding in seen])
@@ -482,18 +482,18 @@ def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
 )
 def test_the_driver_s_version_is_compared_by_numbers(version: str, state: str) -> None:
-    found = looked(Found(driver_version=version))["driver: version"]
+    found = checks_by_name(SurveyResult(driver_version=version))["driver: version"]
     assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
 
 
 def test_a_driver_that_was_not_reached_has_no_version() -> None:
-    assert "driver: version" not in looked(Found(driver_version=""))
+    assert "driver: version" not in checks_by_name(SurveyResult(driver_version=""))
 
 
 def test_a_faulty_board_of_another_program_is_no_failure() -> None:
     broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
-    checks = looked(
-        Found(
+    checks = checks_by_name(
+        SurveyResult(
             findings=(
                 Finding(subject="board 01C16021", **broken),
                 Finding(subject="board FFFFFFFF", **broken),
@@ -507,20 +507,20 @@ def test_a_faulty_board_of_another_program_is_no_failure() -> None:
 
 def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
     finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
-    assert looked(Found(findings=(finding,)))["transducer B: trigger"].found == (
+    assert checks_by_name(SurveyResult(findings=(finding,)))["transducer B: trigger"].found == (
         "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
 def test_the_noise_is_in_the_values() -> None:
     finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
-    found = looked(Found(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
+    found = checks_by_name(SurveyResult(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
     assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
 
 
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
 def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s: float, state: str) -> None:
-    found = looked(Found(), shot_interval_s=interval_s)["coils: duty cycle"]
+    found = checks_by_name(SurveyResult(), shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
 

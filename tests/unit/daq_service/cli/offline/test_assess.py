@@ -56,7 +56,7 @@ def assessed_sensors(*arguments):
     return json.loads(answer.output)["sensors"]
 
 
-def refused(*arguments):
+def rejection_message(*arguments):
     with pytest.raises(UsageError) as caught:
         run(*arguments)
     return str(caught.value)
@@ -244,7 +244,7 @@ def test_objects_are_not_unpickled(tmp_path):
 @pytest.mark.parametrize(("name", "words"), [("a.txt", "not .txt"), ("a", "one without ending")])
 def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, words):
     (tmp_path / name).write_text("1", encoding="utf-8")
-    assert words in refused(tmp_path / name, "--baseline-rows", 20)
+    assert words in rejection_message(tmp_path / name, "--baseline-rows", 20)
 
 
 def test_a_missing_file_causes_an_error_after_the_other_results(tmp_path, tables):
@@ -305,7 +305,7 @@ def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
     path = tmp_path / "a.csv"
     rows = [f"12.040,{row:03};{a!r};{0.5 * (row < 40)}" for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["hour;a;phase", *rows]).replace(";0.", ";0,"), encoding="utf-8")
-    assert "column 'hour' holds '12.040,000', no number" in refused(
+    assert "column 'hour' holds '12.040,000', no number" in rejection_message(
         path, "--baseline-rows", 40, "--features", "hour"
     )
     (bad,) = assessed_sensors(path, "--baseline-where", "phase=0.6")
@@ -328,17 +328,21 @@ def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp
 
 def test_arguments_without_a_baseline_are_rejected(tables):
     path = tables[".csv"]
-    assert "say what is the baseline" in refused(path)
-    assert "say what is the baseline" in refused(path, "--baseline-rows", 3, "--baseline-where", "a=b")
-    assert "COLUMN=VALUE" in refused(path, "--baseline-where", "part")
-    assert "no column 'hour'" in refused(path, "--baseline-where", "hour=3")
-    assert "no column x; it has part" in refused(path, "--baseline-rows", 20, "--features", "x")
-    assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
+    assert "say what is the baseline" in rejection_message(path)
+    assert "say what is the baseline" in rejection_message(
+        path, "--baseline-rows", 3, "--baseline-where", "a=b"
+    )
+    assert "COLUMN=VALUE" in rejection_message(path, "--baseline-where", "part")
+    assert "no column 'hour'" in rejection_message(path, "--baseline-where", "hour=3")
+    assert "no column x; it has part" in rejection_message(path, "--baseline-rows", 20, "--features", "x")
+    assert "holds 'healthy', no number" in rejection_message(
+        path, "--baseline-rows", 20, "--features", "part"
+    )
 
 
 @pytest.mark.parametrize("budget", ["8766", "1e-9"])
 def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
-    assert f"--budget {float(budget):g} at 24 sets" in refused(
+    assert f"--budget {float(budget):g} at 24 sets" in rejection_message(
         tables[".csv"], "--baseline-rows", 40, "--budget", budget
     )
     assert assessed_sensors(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
@@ -385,12 +389,12 @@ def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(t
 def test_sensors_of_a_fleet_have_the_same_features(tmp_path):
     for name, features in (("a", 3), ("b", 2)):
         np.save(tmp_path / f"{name}.npy", np.random.default_rng(0).standard_normal((40, features)))
-    assert "b.npy has the features 0, 1" in refused(
+    assert "b.npy has the features 0, 1" in rejection_message(
         tmp_path / "a.npy", tmp_path / "b.npy", "--baseline-rows", 20, "--fleet"
     )
 
 
-def written(path, columns, separator=",", **options):
+def write_table(path, columns, separator=",", **options):
     """Write a foreign table with cells as text."""
     rows = [separator.join(map(str, row)) for row in zip(*columns.values(), strict=True)]
     path.write_text("\n".join([separator.join(columns), *rows]), **{"encoding": "utf-8", **options})
@@ -426,14 +430,14 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
 ):
     columns = first_two(vectors)
     columns["b"][first:] = [cell] * (120 - first)
-    (bad,) = assessed_sensors(written(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(write_table(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
     shown = cell.strip('"')
     assert f"a.csv: column 'b' holds {shown!r} in row {first}, nearly a number" in bad["refused"]
     assert "write the number alone" in bad["refused"]
     (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
     assert found["refused"] is None
     if not first:
-        words = refused(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
+        words = rejection_message(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
         assert words.endswith("in row 0: write the number alone, or choose others")
 
 
@@ -447,7 +451,7 @@ def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vector
 def test_thousands_and_decimals_with_the_same_mark_are_refused(tmp_path, vectors):
     columns = first_two(vectors)
     columns["b"][:] = ["338.2"] * 60 + ["1,338"] * 60
-    (bad,) = assessed_sensors(written(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(write_table(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
     assert "column 'b' holds '1,338' in row 60, nearly a number" in bad["refused"]
 
 
@@ -480,7 +484,7 @@ LEFT_OUT = {
 @pytest.mark.parametrize("name", LEFT_OUT)
 def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_path, vectors, name):
     cells, reason, cell = LEFT_OUT[name]
-    path = written(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
+    path = write_table(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
     (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["columns_assessed"] == ["a", "b"]
     assert found["columns_left_out"] == [{"name": name, "reason": reason, "row": 0, "cell": cell}]
@@ -490,7 +494,7 @@ def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_
 
 
 def test_a_column_that_is_left_out_can_be_requested(tmp_path, vectors):
-    path = written(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
+    path = write_table(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
     (found,) = assessed_sensors(path, "--baseline-rows", 40, "--features", "hour,a")
     assert found["columns_assessed"] == ["hour", "a"]
     assert found["columns_left_out"] == []
@@ -502,7 +506,7 @@ def test_a_column_that_is_left_out_can_be_requested(tmp_path, vectors):
 def test_an_instrument_s_overload_is_a_missing_value(tmp_path, vectors, cell):
     columns = first_two(vectors)
     columns["b"][5] = columns["b"][70] = cell
-    (found,) = assessed_sensors(written(tmp_path / "a.csv", columns), "--baseline-rows", 40)
+    (found,) = assessed_sensors(write_table(tmp_path / "a.csv", columns), "--baseline-rows", 40)
     assert (found["n"], [one["row"] for one in found["left_out"]]) == (39, [5, 70])
 
 
@@ -532,7 +536,7 @@ def semicolons(text):
     ],
 )
 def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, changed, encoding):
-    plain = written(tmp_path / "a.csv", first_two(vectors))
+    plain = write_table(tmp_path / "a.csv", first_two(vectors))
     (tmp_path / "b.csv").write_text(changed(plain.read_text(encoding="utf-8")), encoding=encoding)
     expected, found = assessed_sensors(plain, tmp_path / "b.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}

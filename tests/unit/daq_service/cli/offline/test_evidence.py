@@ -69,11 +69,11 @@ def content_of(folder):
     return {path: path.read_bytes() for path in files if not path.name.endswith(("-shm", "-wal"))}
 
 
-def raised(onsets):
+def raised_sets(onsets):
     return {(one.position, one.kind): one.set_index for one in onsets}
 
 
-class Elsewhere(Executor):
+class CopyingExecutor(Executor):
     """Executor double that runs tasks immediately on copies, as another process does."""
 
     def submit(self, work, /, *arguments):
@@ -85,12 +85,12 @@ class Elsewhere(Executor):
 
 @pytest.mark.parametrize("extract_by", [None, ("processes", 2)])
 def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract_by, monkeypatch):
-    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(Elsewhere()))
+    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(CopyingExecutor()))
     before = content_of(line.folder)
     # Beside the plan there are two more: both suspicions were confirmed.
     found = replayed(line.folder, (), extract_by=extract_by)
     assert (found.sets, found.extracted, found.differences) == (25, extract_by is not None, [])
-    assert raised(found.alarms.kept) == RAISED
+    assert raised_sets(found.alarms.kept) == RAISED
     assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
     assert content_of(line.folder) == before
 
@@ -101,7 +101,7 @@ def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     assert {one.kind for one in found.alarms.kept} == {"no_data", "retired", "not_judged"}
     # D has two poor sets running in set 3, and was reinstated before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
-    assert raised(later.go) == {("D", "no_data"): 3}
+    assert raised_sets(later.go) == {("D", "no_data"): 3}
 
 
 def test_a_setting_moves_an_alarm(line):

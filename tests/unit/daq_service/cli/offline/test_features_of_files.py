@@ -35,7 +35,7 @@ def extracted_records(*arguments):
     return found["records"]
 
 
-def saved(folder, values, name="records.npy"):
+def save_array(folder, values, name="records.npy"):
     np.save(folder / name, values)
     return folder / name
 
@@ -44,14 +44,14 @@ def volts(scene=SCENE, n=N):
     return np.array([scene.volts(seed) for seed in range(n)])
 
 
-def refused(*arguments):
+def rejection_message(*arguments):
     with pytest.raises(UsageError) as caught:
         run(*arguments)
     return str(caught.value)
 
 
 def test_counts_give_the_features_of_the_recorder(tmp_path, counts):
-    path = saved(tmp_path, counts)
+    path = save_array(tmp_path, counts)
     rows = extracted_records(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
     assert [(row["file"], row["index"]) for row in rows] == [(str(path), k) for k in range(N)]
     for seed, row in enumerate(rows):
@@ -70,7 +70,7 @@ def test_a_table_of_text_gives_the_same_as_the_array(tmp_path, separator, header
         lines.insert(0, separator.join(f"s{k}" for k in range(values.shape[1])))
     (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
     rows = extracted_records(tmp_path / "records.csv")
-    expected = extracted_records(saved(tmp_path, values))
+    expected = extracted_records(save_array(tmp_path, values))
     assert [row | {"file": ""} for row in rows] == [row | {"file": ""} for row in expected]
 
 
@@ -88,7 +88,7 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
         noise_fraction=0.02,
         offset_v=-0.7,
     )
-    path = saved(tmp_path, volts(scene))
+    path = save_array(tmp_path, volts(scene))
     answer = run(path, "--rate-hz", rate_hz, "--pretrigger-s", 150e-6, "--json")
     rows = json.loads(answer.stdout)["records"]
     assert [row["flags"] for row in rows] == [[]] * N
@@ -98,7 +98,7 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
 
 
 def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
-    path = saved(tmp_path, volts())
+    path = save_array(tmp_path, volts())
     assert {tuple(row["flags"]) for row in extracted_records(path)} == {()}
     assert {tuple(row["flags"]) for row in extracted_records(path, "--isw-amplitude-v", 30.0)} == {
         ("missed",)
@@ -109,7 +109,7 @@ def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
 
 
 def test_rails_say_what_is_clipped(tmp_path, counts):
-    path = saved(tmp_path, counts)
+    path = save_array(tmp_path, counts)
     scale = ("--volts-per-count", VOLTS_PER_COUNT)
     assert not any("clipped" in row["flags"] for row in extracted_records(path, *scale))
     rows = extracted_records(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
@@ -119,7 +119,7 @@ def test_rails_say_what_is_clipped(tmp_path, counts):
 def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     values = volts()
     values[5] *= 0.2
-    rows = extracted_records(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [5]
     assert rows[5]["flags"] == ["missed"]
     assert rows[5]["isw_amplitude_v"] == pytest.approx(1.0, rel=0.01)
@@ -127,13 +127,13 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
 
 
 def test_a_single_record_is_compared_only_with_a_given_amplitude(tmp_path):
-    path = saved(tmp_path, 0.15 * volts(n=1))
+    path = save_array(tmp_path, 0.15 * volts(n=1))
     assert extracted_records(path)[0]["flags"] == []
     assert extracted_records(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
 
 
 def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
-    answer = CliRunner().invoke(cli, ["features", str(saved(tmp_path, -volts(n=3))), "--json"])
+    answer = CliRunner().invoke(cli, ["features", str(save_array(tmp_path, -volts(n=3))), "--json"])
     assert [row["flags"] for row in json.loads(answer.stdout)["records"]] == [["inverted"]] * 3
     assert answer.stderr.count("3 of 3 records are inverted") == 1
     assert "reverse the sign of the values" in answer.stderr
@@ -143,7 +143,7 @@ def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
 def test_missing_samples_cost_only_their_record(tmp_path, value):
     values = volts()
     values[3, 700:1200] = value
-    rows = extracted_records(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
 
@@ -164,11 +164,13 @@ def test_a_row_of_missing_values_is_a_record_and_a_row_of_words_is_not(tmp_path)
     np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f", header="10 MHz, 1\nRig, 3")
     assert [row["flags"] for row in extracted_records(tmp_path / "records.csv")] == [[], ["disturbed"], []]
     (tmp_path / "words.csv").write_text("a,b\nno,numbers", encoding="utf-8")
-    assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
+    assert "record 0: 'no,numbers'; a row is a record" in rejection_message(tmp_path / "words.csv")
 
 
 def test_a_table_with_samples_in_rows_is_rejected(tmp_path):
-    assert "a row of a table is a record, not a sample" in refused(saved(tmp_path, volts(n=2).T))
+    assert "a row of a table is a record, not a sample" in rejection_message(
+        save_array(tmp_path, volts(n=2).T)
+    )
 
 
 @pytest.mark.parametrize("option", ["--rate-hz", "--pretrigger-s", "--volts-per-count", "--isw-fwhm-s"])
@@ -181,7 +183,7 @@ def test_numbers_that_are_not_finite_are_refused(option):
 def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
     bad = tmp_path / "bad.npy"
     bad.write_bytes(b"hello")
-    good = saved(tmp_path, volts(n=2))
+    good = save_array(tmp_path, volts(n=2))
     answer = CliRunner().invoke(cli, ["features", str(bad), str(good), str(tmp_path / "no.npy"), "--json"])
     found = json.loads(answer.stdout)
     assert [row["file"] for row in found["records"]] == [str(good)] * 2
@@ -193,19 +195,19 @@ def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
 @pytest.mark.parametrize("seed", range(3))
 def test_records_of_noise_are_missed_strikes_and_set_no_width(tmp_path, seed):
     noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
-    rows = extracted_records(saved(tmp_path, noise))
+    rows = extracted_records(save_array(tmp_path, noise))
     assert [row["flags"] for row in rows] == [["missed"]] * N
     noise[:, 5000] += 0.5  # a spike is no wave either
-    assert all(row["quality"] == "bad" for row in extracted_records(saved(tmp_path, noise)))
+    assert all(row["quality"] == "bad" for row in extracted_records(save_array(tmp_path, noise)))
 
 
 def test_a_file_may_have_one_record(tmp_path):
-    (row,) = extracted_records(saved(tmp_path, SCENE.volts(0)))
+    (row,) = extracted_records(save_array(tmp_path, SCENE.volts(0)))
     assert row["quality"] == "good"
 
 
 def test_the_text_table_has_a_line_per_record(tmp_path):
-    answer = run(saved(tmp_path, volts()))
+    answer = run(save_array(tmp_path, volts()))
     assert answer.stdout.count("│ good") == N
     assert "330.0" in answer.stdout
 
@@ -226,7 +228,7 @@ def test_the_text_table_has_a_line_per_record(tmp_path):
     ],
 )
 def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, words):
-    assert words in refused(saved(tmp_path, values), *options)
+    assert words in rejection_message(save_array(tmp_path, values), *options)
 
 
 @pytest.mark.parametrize(
@@ -245,7 +247,7 @@ def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, 
 )
 def test_a_file_of_another_kind_is_rejected_with_its_name(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
-    assert words in refused(tmp_path / name)
+    assert words in rejection_message(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +278,7 @@ def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, 
 def test_an_overload_costs_its_record_only(tmp_path, overload):
     values = volts(n=4)
     values[1, 1_500:1_600] = overload
-    rows = extracted_records(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["flags"] for row in rows] == [[], ["disturbed"], [], []]
     assert rows[1]["isw_amplitude_v"] is None
 
@@ -284,10 +286,12 @@ def test_an_overload_costs_its_record_only(tmp_path, overload):
 def test_an_hdf5_file_of_another_program_is_rejected_with_a_remedy(tmp_path):
     with h5py.File(tmp_path / "matlab.h5", "w", userblock_size=512) as file:
         file.create_dataset("waves", data=volts(n=1)).attrs["MATLAB_class"] = np.bytes_("double")
-    assert "records of other programs (MATLAB, pandas): save them as .npy" in refused(tmp_path / "matlab.h5")
+    assert "records of other programs (MATLAB, pandas): save them as .npy" in rejection_message(
+        tmp_path / "matlab.h5"
+    )
 
 
-def written_tdms(path, properties):
+def write_tdms(path, properties):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(path) as writer:
         for k, record in enumerate(volts(n=3)):
@@ -298,12 +302,14 @@ def written_tdms(path, properties):
 def test_scaled_labview_values_are_volts_unless_another_unit_is_given(tmp_path):
     wave = {"wf_increment": 1.0 / SCENE.rate_hz}
     options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
-    rows = extracted_records(written_tdms(tmp_path / "a.tdms", wave), *options)
+    rows = extracted_records(write_tdms(tmp_path / "a.tdms", wave), *options)
     assert [row["tof_mf_s"] for row in rows] == [
-        row["tof_mf_s"] for row in extracted_records(saved(tmp_path, volts(n=3)), *options)
+        row["tof_mf_s"] for row in extracted_records(save_array(tmp_path, volts(n=3)), *options)
     ]
-    assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
-    assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
+    assert "'mbar'" in rejection_message(
+        write_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options
+    )
+    assert "--rate-hz" in rejection_message(write_tdms(tmp_path / "c.tdms", {}), *options)
 
 
 def short_volts(n, samples=800):
@@ -333,7 +339,7 @@ def test_appended_records_of_labview_are_split(tmp_path):
     (tmp_path / "appended.tdms_index").write_bytes(b"of another file")
     rows = extracted_records(path)
     assert [row["flags"] for row in rows] == [[]] * 14
-    of_each = [row["tof_mf_s"] for row in extracted_records(saved(tmp_path, records), "--rate-hz", 1e6)]
+    of_each = [row["tof_mf_s"] for row in extracted_records(save_array(tmp_path, records), "--rate-hz", 1e6)]
     assert [row["tof_mf_s"] for row in rows[:5]] == of_each
     assert rows[5]["tof_mf_s"] == rows[8]["tof_mf_s"]
     assert [row["tof_mf_s"] for row in rows[9:]] == pytest.approx(of_each, abs=1e-7)  # of the codes' rounding
@@ -352,18 +358,18 @@ def test_appended_records_of_labview_are_split(tmp_path):
 def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, words):
     values = short_volts(5).ravel()[:samples]
     path = write(tmp_path / "a.tdms", [("B", "shots", values, {**WAVE, **properties})])
-    assert f"group 'B', channel 'shots': {words}" in refused(path)
+    assert f"group 'B', channel 'shots': {words}" in rejection_message(path)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     for name in ("no.npy", "no.csv", "no.h5", "no.tdms"):
-        assert name in refused(tmp_path / name)
+        assert name in rejection_message(tmp_path / name)
 
 
 def test_a_second_pulse_in_the_file_is_seen_with_its_reflection(tmp_path):
     values = volts()
     t, later = SCENE.time_s(), SCENE.isw_time_s + 320e-6
     values[4] += 0.3 * SCENE.isw_v * (cos4(t, later) + SCENE.amplitude_ratio * cos4(t, later + SCENE.tof_s))
-    rows = extracted_records(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [4]
     assert "double" in rows[4]["flags"]
