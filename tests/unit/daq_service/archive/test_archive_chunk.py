@@ -95,12 +95,12 @@ def test_noise_in_the_low_bytes_is_stored_and_the_high_bytes_get_shorter(tmp_pat
 @pytest.mark.parametrize("n", [1, 2, 3, 1_000, 1_001])
 @pytest.mark.parametrize("content", ["zeros", "ones", "random"])
 def test_the_checksum_is_that_of_hdf5(tmp_path, n, content):
-    made = {
+    chunks = {
         "zeros": np.zeros(n),
         "ones": np.full(n, 255),
         "random": np.random.default_rng(n).integers(0, 256, n),
     }
-    values = made[content].astype(np.uint8)
+    values = chunks[content].astype(np.uint8)
     with h5py.File(tmp_path / "sum.h5", "w") as file:
         dataset = file.create_dataset("values", data=values, chunks=(n,), fletcher32=True)
         mask, chunk = dataset.id.read_direct_chunk((0,))

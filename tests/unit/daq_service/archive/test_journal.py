@@ -131,7 +131,9 @@ def test_a_segment_is_removed_with_its_last_set(tmp_path):
             archive.settle(record.set_index)
             left = FolderArchive(tmp_path)
             assert left.open_sets() == {}
-            assert [bits(left.read_set(file)) for file in left.sets().values()] == [bits(one) for one in sets]
+            assert [bits(left.read_set(file)) for file in left.sets().values()] == [
+                bits(item) for item in sets
+            ]
             assert len(list(tmp_path.glob("sets/*.h5"))) == number
     assert list(segments(tmp_path)) == []
 

@@ -55,18 +55,18 @@ def _named_type(entry, _):
 
 
 def _plug_in(entry, _):
-    made = h5p.create(h5p.DATASET_CREATE)
-    made.set_chunk((4,))
-    made.set_filter(32001, h5z.FLAG_OPTIONAL, ())
-    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=made)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_chunk((4,))
+    properties.set_filter(32001, h5z.FLAG_OPTIONAL, ())
+    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=properties)
 
 
 def _twice_deflated(entry, _):
-    made = h5p.create(h5p.DATASET_CREATE)
-    made.set_chunk((4,))
-    made.set_deflate(9)
-    made.set_deflate(9)
-    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=made)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_chunk((4,))
+    properties.set_deflate(9)
+    properties.set_deflate(9)
+    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=properties)
 
 
 def _variable_texts(entry, _):

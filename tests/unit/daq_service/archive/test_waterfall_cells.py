@@ -81,7 +81,7 @@ def test_a_single_sample_survives_at_every_width():
     spiked = replace(waveform, counts=counts)
     spike = np.float32(spiked.volts()[7_777])
     frame = frame_of(waveform, "trigger")
-    row = merged([of_record(one, 0.0, frame) for one in (waveform, spiked, waveform)])
+    row = merged([of_record(item, 0.0, frame) for item in (waveform, spiked, waveform)])
     for width in (16, 32, 64, 256, 1024, 16_384):
         part = frame.part(None, None, width)
         its = coarser(row, frame, part)

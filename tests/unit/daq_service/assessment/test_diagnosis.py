@@ -76,8 +76,8 @@ def sets(change):
 
 def run(change, state=None, since=0, until=SETS):
     state = state or State()
-    for one in sets(change)[since:until]:
-        state, assessment = step(state, one, RULES)
+    for item in sets(change)[since:until]:
+        state, assessment = step(state, item, RULES)
     return state, assessment
 
 
@@ -104,11 +104,11 @@ def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     state, assessment = run(CHANGES[cause])
     assert assessment.cause.cause == cause
     found = wall_conditions("B", state, RULES, row_of(assessment))
-    assert {one.kind for one in found if one.present} == raised
-    for one in found:
-        if one.present:
-            assert f"{cause.upper()} (" in one.message
-            assert any("What to do:" in sentence for sentence in evidence(one.kind, one.proof))
+    assert {item.kind for item in found if item.present} == raised
+    for item in found:
+        if item.present:
+            assert f"{cause.upper()} (" in item.message
+            assert any("What to do:" in sentence for sentence in evidence(item.kind, item.proof))
 
 
 def origins(causes, n=5):
@@ -151,9 +151,9 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
 
     monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
     state, before = State(), []
-    for one in sets(CHANGES[SENSOR]):
+    for item in sets(CHANGES[SENSOR]):
         before.append(state.alarm.active)
-        state, _ = step(state, one, RULES)
+        state, _ = step(state, item, RULES)
     assert stood == before[LAST + 1 :]
     assert {True, False} == set(stood)
     assert state.origin == Origin(elsewhere=True)
@@ -171,7 +171,7 @@ def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), cause=UNDETERMINED)
-    assert [one.present for one in wall_conditions("B", state, RULES, row)] == [True, False]
+    assert [item.present for item in wall_conditions("B", state, RULES, row)] == [True, False]
     # Without a cause, as of a folder of an earlier version, the message is as it was.
     row = replace(row, cause=None, cause_probability=None, cause_told=None)
     wall, transducer = wall_conditions("B", state, RULES, row)
@@ -209,8 +209,8 @@ def test_a_restart_continues_from_the_stored_diagnosis_state():
     change = CHANGES[WALL]
     state, whole = run(change)
     before = State()
-    for one in sets(change)[: LAST + 20]:
-        before, _ = step(before, one, RULES)
+    for item in sets(change)[: LAST + 20]:
+        before, _ = step(before, item, RULES)
     kept = json.loads(json.dumps(averages_of(before.diagnosis_state)))
     again = replace(before, diagnosis_state=restored_diagnosis_state(kept))
     resumed, assessment = run(change, state=again, since=LAST + 20)

@@ -52,8 +52,8 @@ def states(sets, rules=RULES, state=None):
     """Assess sets one after the other; return every state and assessment."""
     found = []
     state = state or State()
-    for one in sets:
-        state, assessment = step(state, one, rules)
+    for item in sets:
+        state, assessment = step(state, item, rules)
         found.append((state, assessment))
     return found
 
@@ -236,8 +236,8 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
     """Records that are played back repeatedly have such features."""
     name = FEATURE_NAMES[0]
     stuck = [
-        replace(one, values=one.values | {name: 1.0 if one.set_index % 4 else one.values[name]})
-        for one in baseline()
+        replace(item, values=item.values | {name: 1.0 if item.set_index % 4 else item.values[name]})
+        for item in baseline()
     ]
     state, _ = state_after(stuck)
     quality = readiness_of(state, RULES)

@@ -126,8 +126,8 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
             expected = due_time_counts(connection)
             n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
             echoes, all_shots = (
-                connection.execute(select(func.count()).select_from(shots).where(which)).scalar_one()
-                for which in (shots.c.position == "A", True)
+                connection.execute(select(func.count()).select_from(shots).where(query)).scalar_one()
+                for query in (shots.c.position == "A", True)
             )
         expected |= {"events": n_events, "pulse_echo_records": echoes, "shots": all_shots - echoes}
         assert {name: counts[name] for name in expected} == expected

@@ -68,21 +68,21 @@ def report_of(folder, *limits, **changes):
     return certificate(replace(read_evidence(folder), **changes), with_limits(limits))
 
 
-def numbers(made):
-    return {item.name: item.value for item in made.quantities}
+def numbers(report):
+    return {item.name: item.value for item in report.quantities}
 
 
-def rows(made, name):
-    return next(table.rows for table in made.tables if table.name == name)
+def rows(report, name):
+    return next(table.rows for table in report.tables if table.name == name)
 
 
-def states(made):
-    return {item.criterion.quantity: item.state for item in made.comparisons}
+def states(report):
+    return {item.criterion.quantity: item.state for item in report.comparisons}
 
 
-def certify(*words):
+def certify(*arguments):
     """Run the command; return the exit code and standard output or the error."""
-    done = CliRunner().invoke(cli, ["certify", *map(str, words)])
+    done = CliRunner().invoke(cli, ["certify", *map(str, arguments)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return getattr(done.exception, "exit_code", 1), str(done.exception)
     return done.exit_code, done.stdout
@@ -111,32 +111,32 @@ def test_sets_and_records_are_those_that_sql_counts(faulty):
 
 
 def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
-    made = report_of(faulty)
-    (first, n_sets, from_h, until_h, hours, cause), (again, *_) = rows(made, "gaps")
+    report = report_of(faulty)
+    (first, n_sets, from_h, until_h, hours, cause), (again, *_) = rows(report, "gaps")
     # Sets every half hour, the first one at 0.5 h: 5 and 6 are due at 3 h and 3.5 h.
     assert (first, n_sets, from_h, until_h, hours) == (5, 2, 2.5, 4.0, 1.5)
     assert "the chassis is gone" in cause
     assert again == LOST_AGAIN
-    assert numbers(made)["longest_gap_h"] == 1.5
+    assert numbers(report)["longest_gap_h"] == 1.5
 
 
 def test_shortfalls_and_faults_are_listed_by_kind(faulty):
-    made = report_of(faulty)
-    lacking = {(state, positions): values for state, positions, *values in rows(made, "shortfalls")}
+    report = report_of(faulty)
+    lacking = {(state, positions): values for state, positions, *values in rows(report, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
-    assert numbers(made)["restrikes"] > 0  # and they count nowhere as records that were planned
-    [(times, longest_h, together_h, standing, words)] = [
-        values for kind, *values in rows(made, "faults") if kind == "rig_unavailable"
+    assert numbers(report)["restrikes"] > 0  # and they count nowhere as records that were planned
+    [(times, longest_h, together_h, standing, message)] = [
+        values for kind, *values in rows(report, "faults") if kind == "rig_unavailable"
     ]
     # From the end of set 5 to that of 7, and from 10 to 11: one alarm that nobody acknowledged.
     assert (times, standing) == (2, 0)
     assert (longest_h, together_h) == pytest.approx((1.0, 1.5), abs=0.03)  # each ends with a set of 44 s
-    assert "chassis" in words
+    assert "chassis" in message
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
         flagged = database.execute("SELECT value FROM shots, json_each(flags)").fetchall()
     database.close()
-    assert dict(rows(made, "flags")) == Counter(flag for (flag,) in flagged)
-    assert dict(rows(made, "flags"))["no_psw"] == 4 + 2  # and two were struck once more
+    assert dict(rows(report, "flags")) == Counter(flag for (flag,) in flagged)
+    assert dict(rows(report, "flags"))["no_psw"] == 4 + 2  # and two were struck once more
 
 
 def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faulty):
@@ -164,25 +164,25 @@ def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     monkeypatch.setattr(
         "daq_service.cli.maintenance.acceptance.evidence.time_now_ns", lambda beat: third_h + 60 * 10**9
     )
-    made = report_of(real.folder)
-    found = numbers(made)
+    report = report_of(real.folder)
+    found = numbers(report)
     assert (found["sets_due"], found["sets_taken"], found["sets_missed"]) == (3, 3, 0)
     assert (found["unplanned_ends"], found["restarts"]) == (0, 0)
-    assert any("goes on" in note for note in made.notes)
+    assert any("goes on" in note for note in report.notes)
 
 
 def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
     real.recorder_ends()
-    made = report_of(real.folder)
-    found = numbers(made)
+    report = report_of(real.folder)
+    found = numbers(report)
     # Long over by this computer's clock, but for the last set: it could be under way.
     assert (found["sets_taken"], found["sets_missed"]) == (3, len(real.due) - 1 - 3)
-    [(first, _, from_h, _, _, cause)] = rows(made, "gaps")
+    [(first, _, from_h, _, _, cause)] = rows(report, "gaps")
     assert (first, from_h) == (3, real.due[2].due_h)
     assert cause == "no recorder told of it"
     assert found["unplanned_ends"] == 1
-    assert states(made)["unplanned_ends"] == states(made)["sets_taken_fraction"] == "fail"
-    assert made.outcome == "fail"
+    assert states(report)["unplanned_ends"] == states(report)["sets_taken_fraction"] == "fail"
+    assert report.outcome == "fail"
 
 
 def test_a_test_that_was_stopped_lacks_nothing_after_its_end(real):
@@ -196,9 +196,9 @@ def test_only_a_restart_after_a_kill_counts_as_an_unexpected_end(real):
     real.say("recorder_started", before="the recorder was killed")
     real.say("recorder_stopped")
     real.say("recorder_started", before="the recorder had been stopped")
-    made = report_of(real.folder)
-    assert (numbers(made)["restarts"], numbers(made)["unplanned_ends"]) == (2, 1)
-    assert [row[1:] for row in rows(made, "restarts")] == [
+    report = report_of(real.folder)
+    assert (numbers(report)["restarts"], numbers(report)["unplanned_ends"]) == (2, 1)
+    assert [row[1:] for row in rows(report, "restarts")] == [
         ("no word", "the recorder was killed"),
         ("recorder_stopped", "the recorder had been stopped"),
     ]
@@ -217,11 +217,11 @@ def test_a_recorder_crash_during_a_set_is_counted(tmp_path):
     with pytest.raises(SystemExit):
         line.run(machine=watch())
     assert line.run(machine=watch(), cause="it was killed")
-    made = report_of(line.folder)
-    found = numbers(made)
+    report = report_of(line.folder)
+    found = numbers(report)
     assert (found["restarts"], found["unplanned_ends"], found["sets_taken"]) == (1, 1, SETS)
     assert found["files_read_again"] == 2 * 2, "of both recorders"
-    assert rows(made, "restarts")[0][1:] == ("no word", "it was killed")
+    assert rows(report, "restarts")[0][1:] == ("no word", "it was killed")
 
 
 def test_delays_are_quantiles_of_start_less_due(real):
@@ -252,11 +252,11 @@ def test_delays_are_quantiles_of_start_less_due(real):
 def test_clock_steps_are_listed_and_assessed(real):
     step = {"step_s": -90.0, "ahead_s": -90.0}
     real.say("clock_step", real.due[1].due_utc_ns, **step)
-    made = report_of(real.folder)
-    assert numbers(made)["clock_step_max_s"] == 90.0
-    assert rows(made, "clock_steps") == [(real.due[1].due_h, -90.0, -90.0)]
-    assert states(made)["clock_step_max_s"] == "fail"
-    assert states(made)["clock_doubts"] == "pass"
+    report = report_of(real.folder)
+    assert numbers(report)["clock_step_max_s"] == 90.0
+    assert rows(report, "clock_steps") == [(real.due[1].due_h, -90.0, -90.0)]
+    assert states(report)["clock_step_max_s"] == "fail"
+    assert states(report)["clock_doubts"] == "pass"
 
 
 # Readings of the machine -----------------------------------------------------------------------------
@@ -333,7 +333,7 @@ def test_readings_of_a_real_run_are_reported(faulty):
             for (text,) in database.execute("SELECT payload FROM events WHERE topic = 'machine'")
         ]
     database.close()
-    costs = [sum(one["stage_s"].values()) - one["stage_s"]["strike_and_read_s"] for one in payloads]
+    costs = [sum(item["stage_s"].values()) - item["stage_s"]["strike_and_read_s"] for item in payloads]
     assert found["line_cost_max_s"] == pytest.approx(max(costs), abs=1e-9)
     assert found["line_cost_p50_s"] == pytest.approx(sorted(costs)[(len(costs) - 1) // 2], abs=1e-9)
 
@@ -547,5 +547,5 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
 
 
 def test_the_json_holds_what_the_certificate_says(faulty):
-    made = report_of(faulty)
-    assert json.loads(json.dumps(as_json(made), allow_nan=False))["verdict"] == made.outcome
+    report = report_of(faulty)
+    assert json.loads(json.dumps(as_json(report), allow_nan=False))["verdict"] == report.outcome

@@ -47,9 +47,9 @@ def folder(running, tmp_path):
     return shutil.copytree(running, tmp_path / "data")
 
 
-def solimon(*words):
+def solimon(*arguments):
     """Run the command; return the exit code and standard output or the error."""
-    done = CliRunner().invoke(cli, [*map(str, words), "--json"])
+    done = CliRunner().invoke(cli, [*map(str, arguments), "--json"])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return done.exception.exit_code, str(done.exception)
     return done.exit_code, json.loads(done.stdout)
@@ -269,7 +269,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
         (("--table", "sets"), "wants --out"),
@@ -288,10 +288,10 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
     ],
 )
 def test_an_impossible_export_is_rejected_before_any_file_is_written(
-    words, message, running, tmp_path, monkeypatch
+    arguments, message, running, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    code, answer = solimon("export", "--data-dir", running, *words)
+    code, answer = solimon("export", "--data-dir", running, *arguments)
     assert code == UsageError.exit_code
     assert message in answer
     assert list(tmp_path.iterdir()) == []

@@ -130,7 +130,7 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (["twin", "--source", "."], "--source names the recording"),
         (["playback"], "--source names the recording"),
@@ -142,8 +142,8 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
     ],
 )
 def test_an_impossible_request_is_rejected_before_the_file_is_written(
-    arguments: list[str], words: str, tmp_path: Path
+    arguments: list[str], message: str, tmp_path: Path
 ) -> None:
     kind, *options = arguments
-    assert words in refusal(kind, tmp_path / "new.toml", *options)
+    assert message in refusal(kind, tmp_path / "new.toml", *options)
     assert list(tmp_path.iterdir()) == []

@@ -21,14 +21,14 @@ from daq_service.processes.supervisor import FINAL_CODES
 
 
 @pytest.mark.parametrize(
-    ("raised", "code", "words"),
+    ("raised", "code", "message"),
     [
         (KeyError("thickness_m"), 1, "KeyError: 'thickness_m'"),
         (OSError(24, "Too many open files"), 1, "Too many open files"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_path, raised, code, words):
+def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_path, raised, code, message):
     def fail(folder, settings):
         raise raised
 
@@ -37,7 +37,7 @@ def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_p
     (line,) = filter(None, done.stderr.splitlines())  # click moves on to a new line first
     assert (done.returncode, done.stdout) == (code, "")
     assert line.startswith("solimon: ")
-    assert words in line
+    assert message in line
     assert ("command.py, line " in line or "test_main.py, line " in line) == (code == 1)
 
 
@@ -63,7 +63,7 @@ def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_line",
     [
         "status",
         "serve",
@@ -75,16 +75,16 @@ def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
         "supply --off",
     ],
 )
-def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -> None:
+def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line: str) -> None:
     folder = tmp_path / "solimno-data"
-    done = solimon_here(*words.split(), "--data-dir", str(folder), env={})
+    done = solimon_here(*command_line.split(), "--data-dir", str(folder), env={})
     assert (done.returncode, done.stdout) == (2, "")
     assert f"there is no data folder {folder}; name the folder" in done.stderr
     assert not folder.exists()
 
 
 @pytest.mark.parametrize(
-    ("words", "asked"),
+    ("command_line", "asked"),
     [
         ("hold", "Why is the test held"),
         ("hold --reason door", ""),
@@ -93,7 +93,7 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
     ],
 )
 def test_at_a_terminal_a_command_asks_for_its_reason(
-    monkeypatch: pytest.MonkeyPatch, words: str, asked: str
+    monkeypatch: pytest.MonkeyPatch, command_line: str, asked: str
 ) -> None:
     given: list[str] = []
 
@@ -105,9 +105,9 @@ def test_at_a_terminal_a_command_asks_for_its_reason(
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     questions: list[str] = []
     monkeypatch.setattr("click.prompt", lambda text, **options: questions.append(text) or "hands in the rig")
-    assert solimon_here(*words.split(), env={}).returncode == 0
+    assert solimon_here(*command_line.split(), env={}).returncode == 0
     assert questions == ([asked] if asked else [])
-    assert given == (["hands in the rig"] if asked else ["door"] if "door" in words else [""])
+    assert given == (["hands in the rig"] if asked else ["door"] if "door" in command_line else [""])
 
 
 def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path: Path) -> None:

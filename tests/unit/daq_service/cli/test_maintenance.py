@@ -197,8 +197,8 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
 
 
 def audit_three(folder):
-    for who in ("ann", "ben", "cleo"):
-        Audit(folder).tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+    for author in ("ann", "ben", "cleo"):
+        Audit(folder).tell(who=author, role="admin", source="terminal", what="hold", result="accepted")
 
 
 def notify_three(folder):
@@ -267,7 +267,7 @@ def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behin
             "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
         )
     # The times were moved in the catalogue alone, which differs from the history by that.
-    found = [one for one in kinds(folder) if one[0] not in ("row", "catalogue")]
+    found = [item for item in kinds(folder) if item[0] not in ("row", "catalogue")]
     assert found == damage
 
 
@@ -481,14 +481,14 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("all of it")
-    for place, why in (
+    for place, reason in (
         (folder / "copy", "lie within each other"),
         (tmp_path, "lie within each other"),
         (folder, "lie within each other"),
         (foreign, "is not empty and no backup"),
     ):
         code, answer = solimon("backup", place, "--data-dir", folder)
-        assert (code, why in answer) == (4, True), answer
+        assert (code, reason in answer) == (4, True), answer
     assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
     copy = tmp_path / "copy"
     back_up(folder, copy)

@@ -33,8 +33,8 @@ def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     return found
 
 
-def run(*words: object) -> None:
-    result = CliRunner().invoke(cli, ["serve", *map(str, words)])
+def run(*arguments: object) -> None:
+    result = CliRunner().invoke(cli, ["serve", *map(str, arguments)])
     if isinstance(result.exception, UsageError):
         raise result.exception
     assert result.exit_code == 0, result.output

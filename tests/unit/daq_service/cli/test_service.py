@@ -114,20 +114,26 @@ def test_a_process_is_restarted_according_to_its_exit_code(config: Path) -> None
 
 def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
     """Otherwise it would end with the recorder, which it must outlive."""
-    made = units(config)
-    assert made["record"]["Unit"]["Wants"] == made["record"]["Unit"]["After"] == "solimon-drive.service"
-    assert made["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
-    assert made["drive"]["Service"]["Type"] == "notify"
+    written_units = units(config)
+    assert (
+        written_units["record"]["Unit"]["Wants"]
+        == written_units["record"]["Unit"]["After"]
+        == "solimon-drive.service"
+    )
+    assert written_units["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
+    assert written_units["drive"]["Service"]["Type"] == "notify"
     config.write_text("", encoding="utf-8")
     assert list(units(config)) == ["record", "serve"]
 
 
 def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None:
-    made = units(config)
-    assert made["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
-    assert made["serve"]["Service"]["Type"] == "notify"
-    assert [word for word, parsed in made.items() if "PrivateDevices" in parsed["Service"]] == ["serve"]
-    assert {parsed["Service"]["NoNewPrivileges"] for parsed in made.values()} == {"yes"}
+    written_units = units(config)
+    assert written_units["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
+    assert written_units["serve"]["Service"]["Type"] == "notify"
+    assert [word for word, parsed in written_units.items() if "PrivateDevices" in parsed["Service"]] == [
+        "serve"
+    ]
+    assert {parsed["Service"]["NoNewPrivileges"] for parsed in written_units.values()} == {"yes"}
 
 
 @pytest.mark.parametrize("manager", ["systemd", "windows"])
@@ -144,15 +150,15 @@ def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> Non
             [action.findtext(f"{TASKS}Command"), *shlex.split(action.findtext(f"{TASKS}Arguments"))]
             for action in actions
         ]
-    words = []
+    recorded_commands = []
     for program, safe, dash_m, module, word, *arguments in commands:
         assert (program, dash_m, module) == (sys.executable, "-m", "daq_service.cli")
         assert safe == "-P", "no file beside the configuration is taken for a module"
         options = cli.commands[word].make_context(word, arguments).params
         (named,) = options["paths"] if word == "serve" else [options["config"]]
         assert (named, options["data_dir"]) == (config, config.parent / "solimon-data")
-        words.append(word)
-    assert words == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
+        recorded_commands.append(word)
+    assert recorded_commands == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
 
 
 def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:

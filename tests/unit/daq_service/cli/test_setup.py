@@ -38,7 +38,7 @@ def terminal(monkeypatch):
         monkeypatch.setattr("sys.stdin", ours)
         yield theirs
         theirs.close()
-        until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "the terminal's end")
+        until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "the terminal's end")
 
 
 def bench(**values):
@@ -123,7 +123,7 @@ def test_input_typed_ahead_strikes_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", typed)
     dialogue = Dialogue()
     assert dialogue.ask(HEIGHT, float) == 0.004
-    until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "both lines were typed")
+    until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "both lines were typed")
     with pytest.raises(UsageError, match="nobody answers any more"):
         dialogue.ask(LEAVE, str)
 
@@ -206,8 +206,8 @@ def test_a_counter_s_home_is_its_family_s():
     x_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/PFI13"), **facts)
     s_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/Ctr0Out", "/Dev1/Ctr1Out"), **facts)
     assert coil_counters(x_series) == ["ctr0", "ctr1"]
-    assert [home_terminal(x_series, one) for one in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
-    assert [home_terminal(s_series, one) for one in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
+    assert [home_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
+    assert [home_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
 
 
 def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch, tmp_path):

@@ -186,15 +186,15 @@ def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> Non
 
 
 @pytest.mark.parametrize(
-    ("level", "words"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
+    ("level", "message"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
 )
-def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, words: str) -> None:
+def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, message: str) -> None:
     facts = describe_status(filled.folder, filled.settings)
     disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
     assert level in LEVELS
     line = line_of(status_lines({**facts, "disk": disk}), "disk")
     assert line.startswith("disk  5.00 GB free")
-    assert words in line
+    assert message in line
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
 
 
@@ -241,20 +241,22 @@ def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None
 def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, judged=False)
-    why = "a baseline of 14 sets; it needs 15"
-    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": why}
+    reason = "a baseline of 14 sets; it needs 15"
+    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": reason}
     filled.catalogue.commit_set(
         SetCommit(
-            baselines=[frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=why)],
+            baselines=[
+                frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=reason)
+            ],
             assessments=[replace(filled.assessment("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
         )
     )
     lines = status_of(filled)
     assert line_of(lines, " D").startswith(" D  not judged  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
-    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {why}"
+    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {reason}"
     page = report_page(tmp_path).decode()
-    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {why}</td>", page)
+    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
 
 
@@ -311,8 +313,8 @@ def test_colour_is_for_terminals_without_no_color(
 
 
 def test_watching_needs_a_terminal(filled: FilledFolder) -> None:
-    for words in (["--watch"], ["--watch", "--json"]):
-        done = solimon_here("status", *words, "--data-dir", str(filled.folder), env={})
+    for options in (["--watch"], ["--watch", "--json"]):
+        done = solimon_here("status", *options, "--data-dir", str(filled.folder), env={})
         assert (done.returncode, done.stdout) == (2, "")
         assert "--watch draws on a terminal" in done.stderr
 

@@ -138,8 +138,8 @@ def test_finish_now_ends_the_pacing(bench: Bench) -> None:
 
 
 def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
-    words = "the test runs on the wall clock, which cannot skip time"
-    assert bare.execute("finish_now") == ("refused", words)
+    message = "the test runs on the wall clock, which cannot skip time"
+    assert bare.execute("finish_now") == ("refused", message)
 
 
 def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
@@ -174,12 +174,12 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
 
 
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
-    state, why = bench.execute("renew_baseline", position="B", note=" ")
-    assert (state, "say why the baseline is retired" in why) == ("refused", True)
+    state, answer = bench.execute("renew_baseline", position="B", note=" ")
+    assert (state, "say why the baseline is retired" in answer) == ("refused", True)
     bench.next_set = 378
-    state, why = bench.execute("renew_baseline", position="B", note="a new sensor")
-    reason = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
-    assert (state, why.startswith(reason), "schedule.end_h" in why) == ("refused", True, True), why
+    state, answer = bench.execute("renew_baseline", position="B", note="a new sensor")
+    expected = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
+    assert (state, answer.startswith(expected), "schedule.end_h" in answer) == ("refused", True, True), answer
     bench.next_set = 377
     assert bench.execute("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
@@ -205,9 +205,9 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
     assert bench.execute("renew_baseline", position="B", note="coupled anew")[0] == "done"
     assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
     ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
-    why = "its baseline was retired: coupled anew"
+    reason = "its baseline was retired: coupled anew"
     for change in map(transition, ended):
-        assert (change["kind"], change["who"], change["why"]) == ("alarm_reset", "ann", why)
+        assert (change["kind"], change["who"], change["why"]) == ("alarm_reset", "ann", reason)
     assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
     bench.restart()
     assert bench.ledger.alarms[("B", "wall_change")].state == "normal"
@@ -261,8 +261,8 @@ def test_the_rows_of_a_command_are_stored_with_its_result(
 
 def test_a_command_past_its_deadline_expires_and_is_not_executed(bench: Bench) -> None:
     bench.left_s = 0.0
-    state, words = bench.execute("supply_on")
-    assert (state, words.split(":")[0]) == ("expired", "not carried out, and nobody will")
+    state, message = bench.execute("supply_on")
+    assert (state, message.split(":")[0]) == ("expired", "not carried out, and nobody will")
     assert bench.switch is not None
     assert bench.switch.done == []
 
@@ -297,8 +297,8 @@ def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(
         "the recorder ended while carrying it out; look before you give it again",
     )
     for order_id in (waiting, rows_only):
-        state, words = bench.answer(order_id)
-        assert (state, "it was given before this recorder began" in words) == ("expired", True)
+        state, message = bench.answer(order_id)
+        assert (state, "it was given before this recorder began" in message) == ("expired", True)
     assert bench.listener.held == "", "what it would have stored is not there"
     assert bench.switch is not None
     assert bench.switch.done == []
@@ -338,8 +338,8 @@ def test_without_a_mark_only_repeatable_commands_are_executed(
 def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
     order_id = bench.write("hold", note="why")
     bench.listener.close("the recorder has ended")
-    state, words = bench.answer(order_id)
-    assert (state, "the recorder has ended" in words) == ("expired", True)
+    state, message = bench.answer(order_id)
+    assert (state, "the recorder has ended" in message) == ("expired", True)
     bench.restart()
     assert bench.listener.held == ""
 
@@ -408,8 +408,8 @@ def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> 
 
 @pytest.mark.parametrize("kind", ["retire", "reinstate"])
 def test_only_a_solitary_wave_transducer_is_disabled(bench: Bench, kind: str) -> None:
-    words = "there is no solitary-wave transducer 'A'; there are: B, C, D"
-    assert bench.execute(kind, position="A") == ("refused", words)
+    message = "there is no solitary-wave transducer 'A'; there are: B, C, D"
+    assert bench.execute(kind, position="A") == ("refused", message)
 
 
 def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
@@ -437,13 +437,13 @@ def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
 
 
 def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) -> None:
-    state, words = bench.execute("self_destruct")
+    state, message = bench.execute("self_destruct")
     assert state == "refused"
-    assert words.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
-    state, words = bench.execute("retire", positon="B")
+    assert message.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
+    state, message = bench.execute("retire", positon="B")
     assert state == "refused"
-    assert "arguments.position" in words
-    assert "arguments.positon" in words
+    assert "arguments.position" in message
+    assert "arguments.positon" in message
     assert bench.execute("hold", note="why")[0] == "done"
 
 

@@ -208,7 +208,7 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments", "words"),
+    ("kind", "arguments", "message"),
     [
         ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
         ("retire", {}, "arguments.position: Field required"),
@@ -222,7 +222,7 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
     ],
 )
 def test_an_invalid_command_is_rejected_with_the_invalid_part(
-    kind: str, arguments: dict[str, object], words: str
+    kind: str, arguments: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises(UsageError, match=message):
         parse_command(kind, "ann", arguments)

@@ -109,12 +109,12 @@ def test_a_signal_during_a_read_of_the_event_is_handled():
     assert "signals" not in {thread.name for thread in threading.enumerate()}
 
 
-@pytest.mark.parametrize(("sent", "alone"), [(child.FAREWELL, False), (b"", True)])
-def test_a_child_detects_whether_its_supervisor_left_on_purpose(sent, alone, monkeypatch):
+@pytest.mark.parametrize(("sent", "expected"), [(child.FAREWELL, False), (b"", True)])
+def test_a_child_detects_whether_its_supervisor_left_on_purpose(sent, expected, monkeypatch):
     answers = iter([sent])
     monkeypatch.setattr(child.os, "read", lambda pipe, count: next(answers))
     monkeypatch.setattr(child.sys, "stdin", sys.__stdin__)
     stop = threading.Event()
     left_alone = child.leave_when_pipe_closes(stop)
     assert stop.wait(60.0)
-    assert left_alone.is_set() == alone
+    assert left_alone.is_set() == expected

@@ -120,12 +120,12 @@ def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> 
 def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("precious")
-    for name, words in {
+    for name, message in {
         "solimno-data": "there is no data folder",
         "thesis": r"holds 'thesis\.tex'",
         "thesis/thesis.tex": "cannot be read",
     }.items():
-        with pytest.raises(UsageError, match=words) as refusal:
+        with pytest.raises(UsageError, match=message) as refusal:
             refuse_other_folders(tmp_path / name)
         assert refusal.value.exit_code == 2
         assert "--data-dir" in str(refusal.value)

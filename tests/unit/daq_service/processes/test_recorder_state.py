@@ -126,7 +126,7 @@ def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
     late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     gone = recorder_state(left, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
-    assert [(one.word, one.listens) for one in (late, gone)] == [(word, False)] * 2
+    assert [(item.word, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
 def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:

@@ -138,18 +138,18 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
     assert confirmation_rows(line)
     assert not confirmation_rows(without)
 
-    def planned(one, table):
+    def planned(item, table):
         # Causes do remember what a confirmation said.
         causes = ("averages", "cause", "cause_probability", "cause_told")
         ordinal = {"verdicts": ("id", *causes), "features": ("id", "sequence")}[table]
-        return [replace(row, **dict.fromkeys(ordinal)) for row in one.rows(table)]
+        return [replace(row, **dict.fromkeys(ordinal)) for row in item.rows(table)]
 
     for table in ("verdicts", "features"):
         assert planned(line, table) == planned(without, table)
     assert line.rows("baselines") == without.rows("baselines")
     assert the_alarm(line).message == the_alarm(without).message
     with line.catalogue() as own, without.catalogue() as other:
-        sizes = [{**one.counts(), "events": 0} for one in (own, other)]
+        sizes = [{**item.counts(), "events": 0} for item in (own, other)]
         assert sizes[0] == sizes[1]
         assert sizes[0]["sets"] == SETS
         assert own.positions_state()["B"].last_set.set_index == SETS - 1
@@ -272,13 +272,13 @@ def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stor
     line.run()
     facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
     rows = [
-        [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(one)]
-        for one in (line, undisturbed)
+        [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(item)]
+        for item in (line, undisturbed)
     ]
     assert rows[0] == rows[1]
     ids = {"id": None, "sequence": None}
     features = [
-        [replace(row, **ids) for row in confirmation_rows(one, FeatureRow)] for one in (line, undisturbed)
+        [replace(row, **ids) for row in confirmation_rows(item, FeatureRow)] for item in (line, undisturbed)
     ]
     assert features[0] == features[1]
 

@@ -53,10 +53,10 @@ def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
     calls = []
-    made = rebuild_catalogue(line, progress=lambda done, total: calls.append((done, total)))
+    result = rebuild_catalogue(line, progress=lambda done, total: calls.append((done, total)))
     assert table_rows(line.folder) == before
-    assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
-    assert calls[-1] == (made.sets, made.sets)
+    assert (result.kept, result.warnings, result.sets) == ("", [], len(set_files(line.folder)))
+    assert calls[-1] == (result.sets, result.sets)
     assert not (line.folder / BUILDING).exists()
 
 
@@ -95,9 +95,9 @@ def test_the_history_alone_identifies_the_experiment(line):
 def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line):
     before = table_rows(line.folder)
     (line.folder / HISTORY_FILE).unlink()
-    made = rebuild_catalogue(line)
+    result = rebuild_catalogue(line)
     assert table_rows(line.folder) == before
-    assert (line.folder / made.kept).exists()
+    assert (line.folder / result.kept).exists()
     assert (line.folder / HISTORY_FILE).exists()
 
 
@@ -167,8 +167,8 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     del lines[number]
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
-    made = rebuild_catalogue(line)
-    assert any("history" in warning and f"{number + 1}" in warning for warning in made.warnings)
+    result = rebuild_catalogue(line)
+    assert any("history" in warning and f"{number + 1}" in warning for warning in result.warnings)
     after = table_rows(line.folder)
     assert [row for row in before["events"] if row not in after["events"]] == [
         row for row in before["events"] if row[4] == "hold"
@@ -199,8 +199,8 @@ def test_a_set_without_its_file_keeps_its_rows(line):
         alarms = catalogue.rows(AlarmRow)
     set_files(line.folder)[6].unlink()
     lose_catalogue(line.folder)
-    made = rebuild_catalogue(line)
-    assert any("set 6" in warning for warning in made.warnings)
+    result = rebuild_catalogue(line)
+    assert any("set 6" in warning for warning in result.warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow) == sets
         assert catalogue.rows(AlarmRow) == alarms

@@ -73,8 +73,8 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
     stored(tmp_path, first, later)
     source = ArchivedShots(FolderSetReader(tmp_path))
     wanted = sorted(
-        {one.started_utc_ns for one in (first, later)}
-        | {record.stamp.utc_ns for one in (first, later) for record in one.records}
+        {item.started_utc_ns for item in (first, later)}
+        | {record.stamp.utc_ns for item in (first, later) for record in item.records}
     )
     found, moment = [], source.next_moment(0)
     while moment is not None:
@@ -212,9 +212,9 @@ def test_a_rig_refuses_positions_that_were_not_recorded(tmp_path):
 
         with pytest.raises(UsageError, match=r"does not fit the configuration: .*position 'E'"):
             rig({"E": "solitary_wave"})
-        made = rig({"B": "solitary_wave", "A": "pulse_echo"}, recorded_times=True)
-        assert made.identity == {"recording": "here"}
+        opened_rig = rig({"B": "solitary_wave", "A": "pulse_echo"}, recorded_times=True)
+        assert opened_rig.identity == {"recording": "here"}
         # The second shot of B was recorded 1 ns past its planned time.
-        assert made.clock is not None
-        made.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
-        assert made.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001
+        assert opened_rig.clock is not None
+        opened_rig.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
+        assert opened_rig.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001

@@ -111,7 +111,7 @@ def test_all_placeholders_are_rejected_together() -> None:
         load_settings(file)
     first, *lines, last = str(refused.value).splitlines()
     assert first == f"{file} is not finished; still PLACEHOLDER:"
-    assert [line.strip()[: len(words)] for line, words in zip(lines, unknown, strict=True)] == unknown
+    assert [line.strip()[: len(expected)] for line, expected in zip(lines, unknown, strict=True)] == unknown
     assert last == f"Fill them in and run `solimon check-config {file}`."
 
 

@@ -61,16 +61,16 @@ def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(
 
 def test_plain_http_is_for_this_machine_or_asked_for_by_name(tmp_path):
     for url, allowed in (("http://127.0.0.1:8000/", False), ("http://alarms.example.org/", True)):
-        made = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
-        assert made.notifications.receivers["duty"].url == url
+        checked = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
+        assert checked.notifications.receivers["duty"].url == url
 
 
 def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_unasked(tmp_path):
     mail = {"kind": "apprise", "url_env": "MAIL"}
     for receiver, wanted in ((DUTY, 10.0), (mail, 3600.0)):
         for given in ({}, {"heartbeat_s": wanted}):
-            (made,) = settings(tmp_path, receiver | given).notifications.receivers.values()
-            assert made.heartbeat_s == given.get("heartbeat_s")
+            (checked,) = settings(tmp_path, receiver | given).notifications.receivers.values()
+            assert checked.heartbeat_s == given.get("heartbeat_s")
 
 
 @pytest.mark.parametrize(

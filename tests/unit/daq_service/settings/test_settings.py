@@ -60,7 +60,7 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "fragments"),
     [
         ("[[chain.spheres]]\nbody = 1\nradius_m = 0.0", ["chain.spheres", "radius_m", "greater than 0"]),
         ("[[chain.spheres]]\nbody = 9", ["chain", "body 9", "bodies 0 to 8"]),
@@ -89,11 +89,11 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
         ("[chain", ["not valid toml"]),
     ],
 )
-def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, fragments: list[str]) -> None:
     path = write(tmp_path, text)
     with pytest.raises(UsageError) as refusal:
         load_settings(path)
-    for word in [str(path), *words]:
+    for word in [str(path), *fragments]:
         assert word in str(refusal.value)
     assert refusal.value.exit_code == 2
 

@@ -95,7 +95,7 @@ def check(expression, label_sets):
             assert None not in values, f"{name} has no label {label}"
             assert sign in ("=", "=~"), "what is left out is not looked for here"
             pattern = value if sign == "=~" else re.escape(value)
-            assert any(re.fullmatch(pattern, one) for one in values), f"no {label} of {name} is {value}"
+            assert any(re.fullmatch(pattern, item) for item in values), f"no {label} of {name} is {value}"
     groups = {
         label.strip() for found in GROUPING.finditer(expression) for label in found["labels"].split(",")
     }

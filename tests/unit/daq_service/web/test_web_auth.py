@@ -272,10 +272,10 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
         served(filled.settings, filled.folder) as service,
         service.client(Authorization=f"Bearer {text}") as api,
     ):
-        made = api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"})
-        assert made.status_code == 201
+        created = api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"})
+        assert created.status_code == 201
         assert api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"}).status_code == 409
-        bob = {"Authorization": f"Bearer {made.json()['token']}"}
+        bob = {"Authorization": f"Bearer {created.json()['token']}"}
         until(lambda: api.get(DUE, headers=bob).status_code == 200, "the new token being known")
         assert api.delete("/api/v1/tokens/bob").json()["state"] == "revoked"
         assert "sha256" not in api.get("/api/v1/tokens").text
@@ -465,7 +465,7 @@ def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
 
 
 @pytest.mark.parametrize(
-    ("query", "words"),
+    ("query", "message"),
     [
         ({"what": "hold,explode"}, "what names 'explode'"),
         ({"result": "maybe"}, "query /result"),
@@ -474,10 +474,10 @@ def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
         ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
     ],
 )
-def test_an_invalid_audit_filter_is_rejected(audited, query, words):
+def test_an_invalid_audit_filter_is_rejected(audited, query, message):
     answer = audited.get("/api/v1/audit", params=query)
     assert answer.status_code == 422
-    assert words in answer.json()["detail"]
+    assert message in answer.json()["detail"]
 
 
 def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, tokens):

@@ -64,8 +64,8 @@ def test_other_commands_are_rejected_with_a_remedy(ended, finished):
         again.say("recorder_started")
         again.close()
     body = ordered(api, "hold", note="door open").json()
-    why = "The recorder has finished" if finished else "Nobody records this test"
-    assert (body["status"], body["detail"]) == (409, f"{why}: nobody would carry this out.")
+    reason = "The recorder has finished" if finished else "Nobody records this test"
+    assert (body["status"], body["detail"]) == (409, f"{reason}: nobody would carry this out.")
     assert "solimon run" in body["hint"]
     assert api.get("/api/v1/commands/1").status_code == 404
 

@@ -28,7 +28,7 @@ def filled(tmp_path):
 def without_ages(data):
     """Remove the values that grow between two responses."""
     if isinstance(data, list):
-        return [without_ages(one) for one in data]
+        return [without_ages(item) for item in data]
     if not isinstance(data, dict):
         return data
     return {key: without_ages(value) for key, value in data.items() if key not in {"as_of", "age_h", "stale"}}

@@ -116,8 +116,8 @@ class Page(HTMLParser):
             self._heading = data
 
 
-def make_report(folder, *words):
-    done = CliRunner().invoke(cli, ["report", str(folder), *map(str, words)], catch_exceptions=False)
+def make_report(folder, *arguments):
+    done = CliRunner().invoke(cli, ["report", str(folder), *map(str, arguments)], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done
 
@@ -272,16 +272,16 @@ def test_a_configuration_selects_its_folder(filled, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("arguments", "message"),
     [
         (("--from-h", 5, "--to-h", 5), "let it end later"),
         (("--from-h", 1e6), "let it end later"),
     ],
 )
-def test_an_impossible_report_is_rejected_and_nothing_is_written(words, message, filled, tmp_path):
+def test_an_impossible_report_is_rejected_and_nothing_is_written(arguments, message, filled, tmp_path):
     target = tmp_path / "a.html"
     with pytest.raises(UsageError, match=message):
-        make_report(filled.folder, *words, "--out", target)
+        make_report(filled.folder, *arguments, "--out", target)
     assert not target.exists()
     target.write_text("older")
     with pytest.raises(UsageError, match="--overwrite"):

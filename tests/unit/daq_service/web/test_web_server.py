@@ -163,9 +163,9 @@ def test_more_connections_than_are_served_get_a_503(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.server.MOST_CONNECTIONS", 3)
     with served(filled.settings, filled.folder) as service, connection_to(service) as stream:
         with service.client() as first, connection_to(service) as other:
-            for one in (stream, other):
-                one.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-                assert one.recv(4096).startswith(b"HTTP/1.1 200 ")
+            for item in (stream, other):
+                item.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+                assert item.recv(4096).startswith(b"HTTP/1.1 200 ")
             assert first.get("healthz").status_code == 503
         with service.client() as later:
             until(lambda: later.get("healthz").status_code == 200, "a place")

@@ -246,11 +246,11 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
     ],
 )
 def test_the_scanner_check_follows_the_exclusions(
-    system: str, answer: dict[str, str], left_alone: bool | None, words: str
+    system: str, answer: dict[str, str], left_alone: bool | None, message: str
 ) -> None:
     folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
     found = by_name(machine_checks("wall", folder, ask=answers(**answer), system=system))["antivirus"]
-    assert (found.values["data_folder_left_alone"], words in found.found) == (left_alone, True)
+    assert (found.values["data_folder_left_alone"], message in found.found) == (left_alone, True)
     assert found.state == ("ok" if left_alone else "warn")
     assert str(folder) in found.remedy or found.state == "ok"
 
@@ -288,7 +288,7 @@ AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_f
 def test_a_new_folder_passes_and_is_not_created(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
-    assert {one.state for one in checks.values()} == {"ok"}
+    assert {item.state for item in checks.values()} == {"ok"}
     assert "to be made" in checks["data folder: writable"].found
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
 
@@ -297,7 +297,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path: Path) -> Non
     settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
     assert run(settings, tmp_path)
     checks = by_name(storage_checks(settings, tmp_path))
-    assert {one.state for one in checks.values()} == {"ok"}
+    assert {item.state for item in checks.values()} == {"ok"}
     assert checks["disk: space"].values["stored_bytes"] == sum(
         path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
     )
@@ -558,9 +558,9 @@ def test_without_strike_nothing_is_struck(
     assert lines[-1].startswith("0 fail, ")
 
 
-@pytest.mark.parametrize(("position", "words"), [("A", "B, C, D"), ("Z", "B, C, D")])
-def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+@pytest.mark.parametrize(("position", "message"), [("A", "B, C, D"), ("Z", "B, C, D")])
+def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike=position, as_json=True)
 
 

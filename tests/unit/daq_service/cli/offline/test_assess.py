@@ -105,7 +105,7 @@ def test_empty_cells_are_missing_values(tmp_path, vectors):
     path.write_text("\n".join(["a,b", *lines]), encoding="utf-8")
     (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["n"] == 39
-    assert [one["row"] for one in found["left_out"]] == [3, 70]
+    assert [item["row"] for item in found["left_out"]] == [3, 70]
     assert found["rows"][70] == {
         "row": 70,
         "distance_squared": None,
@@ -122,7 +122,7 @@ def test_multiple_processes_assess_many_sensors_identically(tmp_path, tables):
         np.save(paths[-1], healthy("independent", 60, np.random.default_rng(k)))
     alone = [assessed_sensors(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
     together = assessed_sensors(*paths, "--baseline-rows", 20, "--no-rows")
-    assert [one["file"] for one in together] == [str(path) for path in paths]
+    assert [item["file"] for item in together] == [str(path) for path in paths]
     assert together[:2] == alone
 
 
@@ -144,7 +144,7 @@ def test_the_text_output_has_baseline_limits_and_alarms(tables):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "message"),
     [
         ("a.csv", "", "empty"),
         ("a.csv", "a,b", "0 rows"),
@@ -163,12 +163,12 @@ def test_the_text_output_has_baseline_limits_and_alarms(tables):
     ],
 )
 def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
-    tmp_path, tables, name, content, words
+    tmp_path, tables, name, content, message
 ):
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     bad, good = assessed_sensors(path, tables[".npy"], "--baseline-rows", 40)
-    assert words in bad["refused"]
+    assert message in bad["refused"]
     assert set(bad) == set(good) - {"default_because"}
     assert good["refused"] is None
 
@@ -241,10 +241,10 @@ def test_objects_are_not_unpickled(tmp_path):
     assert bad["refused"].endswith("no .npy file of numbers, rows x features")
 
 
-@pytest.mark.parametrize(("name", "words"), [("a.txt", "not .txt"), ("a", "one without ending")])
-def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, words):
+@pytest.mark.parametrize(("name", "message"), [("a.txt", "not .txt"), ("a", "one without ending")])
+def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, message):
     (tmp_path / name).write_text("1", encoding="utf-8")
-    assert words in rejection_message(tmp_path / name, "--baseline-rows", 20)
+    assert message in rejection_message(tmp_path / name, "--baseline-rows", 20)
 
 
 def test_a_missing_file_causes_an_error_after_the_other_results(tmp_path, tables):
@@ -298,7 +298,7 @@ def test_a_row_label_that_starts_like_a_comment_is_read(tmp_path, vectors):
     path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
     (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["refused"] is None
-    assert [one["row"] for one in found["left_out"]] == [50]
+    assert [item["row"] for item in found["left_out"]] == [50]
 
 
 def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
@@ -322,8 +322,8 @@ def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp
     (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert found["n"] == 39
     assert found["features_dropped"] == []
-    assert [one["row"] for one in found["left_out"]] == [*cells]
-    assert "trend" not in [one["kind"] for one in found["named"]]
+    assert [item["row"] for item in found["left_out"]] == [*cells]
+    assert "trend" not in [item["kind"] for item in found["named"]]
 
 
 def test_arguments_without_a_baseline_are_rejected(tables):
@@ -377,9 +377,9 @@ def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(t
     assert 200 <= cause["first_row"] < 206
     assert cause["last_row"] == 299
     assert len(fleet["explained"]) >= 20
-    words = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
-    assert "fleet of 7 sensors, 6 judged" in words
-    assert "fewer than 20 sensors: what they share is not taken out" in words
+    output = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
+    assert "fleet of 7 sensors, 6 judged" in output
+    assert "fewer than 20 sensors: what they share is not taken out" in output
     every = fleet_in_words(fleet)
     assert "look at    " in every
     assert "all move   rows 20" in every
@@ -437,8 +437,8 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
     (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
     assert found["refused"] is None
     if not first:
-        words = rejection_message(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
-        assert words.endswith("in row 0: write the number alone, or choose others")
+        message = rejection_message(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
+        assert message.endswith("in row 0: write the number alone, or choose others")
 
 
 def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vectors):
@@ -488,9 +488,9 @@ def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_
     (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["columns_assessed"] == ["a", "b"]
     assert found["columns_left_out"] == [{"name": name, "reason": reason, "row": 0, "cell": cell}]
-    words = run(path, "--baseline-rows", 40).output.splitlines()
-    assert f"  left out   {name!r}: {reason} ({cell!r} in row 0)" in words
-    assert "  columns    a, b" in words
+    lines = run(path, "--baseline-rows", 40).output.splitlines()
+    assert f"  left out   {name!r}: {reason} ({cell!r} in row 0)" in lines
+    assert "  columns    a, b" in lines
 
 
 def test_a_column_that_is_left_out_can_be_requested(tmp_path, vectors):
@@ -507,14 +507,14 @@ def test_an_instrument_s_overload_is_a_missing_value(tmp_path, vectors, cell):
     columns = first_two(vectors)
     columns["b"][5] = columns["b"][70] = cell
     (found,) = assessed_sensors(write_table(tmp_path / "a.csv", columns), "--baseline-rows", 40)
-    assert (found["n"], [one["row"] for one in found["left_out"]]) == (39, [5, 70])
+    assert (found["n"], [item["row"] for item in found["left_out"]]) == (39, [5, 70])
 
 
 def test_an_overload_in_an_array_is_a_missing_value(tmp_path, vectors):
     vectors[5, 1] = 9.91e37
     np.save(tmp_path / "a.npy", vectors.astype(np.float32))
     (found,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 40)
-    assert [one["row"] for one in found["left_out"]] == [5]
+    assert [item["row"] for item in found["left_out"]] == [5]
 
 
 def semicolons(text):
@@ -543,7 +543,7 @@ def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, c
 
 
 @pytest.mark.parametrize(
-    ("header", "last", "words"),
+    ("header", "last", "message"),
     [
         ("x,a,b", "Mean,0.1,0.2", "the last row is 'Mean' of the others, not a set: take it out"),
         ("x,a,b", "Total:,0.1,", "the last row is 'Total:' of the others, not a set"),
@@ -554,8 +554,8 @@ def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, c
         ),
     ],
 )
-def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, words):
+def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, message):
     rows = [f"dry,{a},{b}" for a, b, *_ in vectors.tolist()]
     (tmp_path / "a.csv").write_text("\n".join([header, *rows, last]), encoding="utf-8")
     (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
-    assert words in bad["refused"]
+    assert message in bad["refused"]

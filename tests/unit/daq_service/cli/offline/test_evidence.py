@@ -70,7 +70,7 @@ def content_of(folder):
 
 
 def raised_sets(onsets):
-    return {(one.position, one.kind): one.set_index for one in onsets}
+    return {(item.position, item.kind): item.set_index for item in onsets}
 
 
 class CopyingExecutor(Executor):
@@ -98,7 +98,7 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
 def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
-    assert {one.kind for one in found.alarms.kept} == {"no_data", "retired", "not_judged"}
+    assert {item.kind for item in found.alarms.kept} == {"no_data", "retired", "not_judged"}
     # D has two poor sets running in set 3, and was reinstated before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
     assert raised_sets(later.go) == {("D", "no_data"): 3}
@@ -118,7 +118,7 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
     words = list(in_words(found))
     assert "stays  C hole: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words
-    of_b = {(one.table, one.column): one for one in found.differences if one.position == "B"}
+    of_b = {(item.table, item.column): item for item in found.differences if item.position == "B"}
     assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
     limit = of_b["baseline", "limits.f_predictive"]
     assert limit.again < limit.stored
@@ -136,23 +136,25 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
 def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours, unjudged):
     done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
     not_assessed = json.loads(done.stdout)["not_assessed"]
-    assert [(one["position"], one["last_set_index"], one["last_set"]) for one in not_assessed] == unjudged
-    for one in not_assessed:
-        position, last_set = one["position"], one["last_set"]
-        assert one["told"] == (
+    assert [(item["position"], item["last_set_index"], item["last_set"]) for item in not_assessed] == unjudged
+    for item in not_assessed:
+        position, last_set = item["position"], item["last_set"]
+        assert item["told"] == (
             f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
-            f"{one['last_set_index']} the baseline, and the last one there is set {last_set}; "
+            f"{item['last_set_index']} the baseline, and the last one there is set {last_set}; "
             "give fewer hours"
         )
-    words = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
-    assert [text for text in words.splitlines() if "nothing is judged" in text] == [
-        one["told"] for one in not_assessed
+    output = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
+    assert [text for text in output.splitlines() if "nothing is judged" in text] == [
+        item["told"] for item in not_assessed
     ]
 
 
 def test_each_column_has_its_count_and_the_outliers_come_first(line):
     found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
-    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
+    of_b = {
+        item.column: item for item in found.differences if (item.table, item.position) == ("assessment", "B")
+    }
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
     (sentence,) = [words for words in in_words(found) if words.startswith("verdict B")]
@@ -198,10 +200,10 @@ def test_alarms_of_the_same_set_are_paired_before_the_others():
         )
 
     found = alarm_changes([onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")])
-    assert [one.set_index for one in found.kept] == [7]
-    assert [(one.stored.set_index, one.again.set_index) for one in found.moved] == [(3, 5)]
-    assert [(one.position, one.set_index) for one in found.go] == [("B", 9), ("C", 4)]
-    assert [(one.position, one.set_index) for one in found.come] == [("D", 1)]
+    assert [item.set_index for item in found.kept] == [7]
+    assert [(item.stored.set_index, item.again.set_index) for item in found.moved] == [(3, 5)]
+    assert [(item.position, item.set_index) for item in found.go] == [("B", 9), ("C", 4)]
+    assert [(item.position, item.set_index) for item in found.come] == [("D", 1)]
 
 
 def test_a_foreign_folder_and_an_unreadable_set_have_their_exit_codes(line, tmp_path):
@@ -232,7 +234,7 @@ def test_a_change_alarm_is_recomputed_on_a_self_contained_page(line, tmp_path):
         24,
         72,
     )
-    assert [one["set_index"] for one in again["raised"]] == [23]
+    assert [item["set_index"] for item in again["raised"]] == [23]
     # Set 23 is 9 sets into the drift of 0.8 us a set, and rests a little differently, by up to 0.8 us.
     pulses = again["pulses"]
     late = [at for at, time_s in enumerate(pulses["time_s"]) if 200e-6 < time_s < 500e-6]
@@ -339,14 +341,14 @@ def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
     assert (explanation["agrees"], explanation["recomputed"]) == (None, None)
     assert "a person's order" in explanation["why_not_recomputed"]
     assert "a loose cable" in explanation["alarm"]["message"]
-    assert "alarm_reset" in [one["kind"] for one in explanation["history"]]
+    assert "alarm_reset" in [item["kind"] for item in explanation["history"]]
     assert "This alarm is not recomputed" in (
         tmp_path / f"alarm-{explanation['alarm']['id']}.html"
     ).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("replay", "{}"),
         ("explain", "1", "--data-dir", "{}"),
@@ -354,10 +356,10 @@ def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
         ("export", "--data-dir", "{}", "--hdf5", "{}.h5"),
     ],
 )
-def test_a_lost_catalogue_is_reported_with_the_rebuild_command(line, tmp_path, words):
+def test_a_lost_catalogue_is_reported_with_the_rebuild_command(line, tmp_path, arguments):
     folder = tmp_path / "lost"
     shutil.copytree(line.folder, folder, ignore=shutil.ignore_patterns("catalogue.sqlite*"))
-    done = solimon_here(*(word.format(folder) for word in words), env={})
+    done = solimon_here(*(word.format(folder) for word in arguments), env={})
     assert done.returncode == 4
     assert f"the catalogue of {folder} is lost" in done.stderr
     assert f"solimon rebuild --data-dir {folder}" in done.stderr

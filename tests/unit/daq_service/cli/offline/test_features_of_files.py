@@ -187,7 +187,7 @@ def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
     answer = CliRunner().invoke(cli, ["features", str(bad), str(good), str(tmp_path / "no.npy"), "--json"])
     found = json.loads(answer.stdout)
     assert [row["file"] for row in found["records"]] == [str(good)] * 2
-    assert [one["file"] for one in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
+    assert [item["file"] for item in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
     assert found["refused"][0]["reason"].endswith("no .npy file of numbers, records x samples")
     assert isinstance(answer.exception, UsageError)
 
@@ -213,7 +213,7 @@ def test_the_text_table_has_a_line_per_record(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("values", "options", "words"),
+    ("values", "options", "message"),
     [
         (np.zeros((2, 3, 4)), (), "records x samples"),
         (np.array([["a", "b"]]), (), "must be numbers"),
@@ -227,12 +227,12 @@ def test_the_text_table_has_a_line_per_record(tmp_path):
         (np.zeros((3, 13_000)), ("--pretrigger-s", "1"), "record 0: pretrigger_samples"),
     ],
 )
-def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, words):
-    assert words in rejection_message(save_array(tmp_path, values), *options)
+def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, message):
+    assert message in rejection_message(save_array(tmp_path, values), *options)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "message"),
     [
         ("records.txt", b"1,2,3", "not .txt"),
         ("records.npy", b"hello", "no .npy file"),
@@ -245,9 +245,9 @@ def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, 
         ("records.tdms", b"hello", "records.tdms"),
     ],
 )
-def test_a_file_of_another_kind_is_rejected_with_its_name(tmp_path, name, content, words):
+def test_a_file_of_another_kind_is_rejected_with_its_name(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
-    assert words in rejection_message(tmp_path / name)
+    assert message in rejection_message(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,7 @@ def test_appended_records_of_labview_are_split(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("samples", "properties", "words"),
+    ("samples", "properties", "message"),
     [
         (3_900, {"wf_samples": 800}, "3900 samples are not a whole number of records of 800"),
         (4_000, {"wf_samples": 800, "wf_increment": 0.0}, "wf_increment is 0.0 s"),
@@ -355,10 +355,10 @@ def test_appended_records_of_labview_are_split(tmp_path):
         (4_000, {"wf_samples": 50}, "the trigger at sample 100 is outside the record of 50 samples"),
     ],
 )
-def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, words):
+def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, message):
     values = short_volts(5).ravel()[:samples]
     path = write(tmp_path / "a.tdms", [("B", "shots", values, {**WAVE, **properties})])
-    assert f"group 'B', channel 'shots': {words}" in rejection_message(path)
+    assert f"group 'B', channel 'shots': {message}" in rejection_message(path)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

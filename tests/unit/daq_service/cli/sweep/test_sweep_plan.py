@@ -60,7 +60,7 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("specifications", "words"),
+    ("specifications", "message"),
     [
         (["chain.drop_hight_m=1"], r"did you mean chain\.drop_height_m\? All keys: chain\.radius_m, "),
         (["thickness_m=1"], r"did you mean plate\.thickness_m"),
@@ -74,8 +74,8 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
         (["chain.mass_kg=0.02:0.03:500", "chain.radius_m=0.009:0.01:401"], "200500 rows; a sweep has at"),
     ],
 )
-def test_an_impossible_sweep_is_rejected_before_the_start(specifications: list[str], words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_an_impossible_sweep_is_rejected_before_the_start(specifications: list[str], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         planned(*specifications)
 
 
@@ -134,7 +134,7 @@ def test_the_zener_model_accepts_only_its_keys() -> None:
 def test_tables_below_a_section_are_swept_by_key_or_whole() -> None:
     by_key = planned("plate.liquid.density_kg_per_m3=1000,1025", "plate.liquid.depth_m=0.05")
     liquids = [row.specimen[1].liquid for row in by_key.rows if row.specimen is not None]
-    assert [(one.density_kg_per_m3, one.depth_m) for one in liquids if one] == [
+    assert [(item.density_kg_per_m3, item.depth_m) for item in liquids if item] == [
         (1000.0, 0.05),
         (1025.0, 0.05),
     ]

@@ -335,11 +335,11 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
     ],
 )
 def test_impossible_outputs_are_rejected_first(
-    names: list[str], waveforms: bool, error: type[Exception], words: str, tmp_path: Path
+    names: list[str], waveforms: bool, error: type[Exception], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     plan = planned("chain.drop_height_m=0.004", base=ANALYTIC, waveforms=waveforms)
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=message):
         sweep_table(plan, outputs=tuple(tmp_path / name for name in names))
 
 
