@@ -120,7 +120,7 @@ def test_the_baselines_of_a_position_have_their_lifecycle(of_folder, of_service)
     assert first["created_utc"] == pd.Timestamp("2024-01-01T00:00Z")
 
 
-def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):
+def test_columns_have_units_and_types_also_without_values(of_folder):
     features = of_folder.features("B")
     assert features["ssw_amplitude_v"].isna().all()
     assert features["ssw_amplitude_v"].dtype == np.float64

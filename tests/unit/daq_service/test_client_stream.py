@@ -83,7 +83,7 @@ STREAM = {"Content-Type": "text/event-stream; charset=utf-8"}
 
 
 @pytest.mark.parametrize("passing", PASSING.values(), ids=PASSING)
-def test_no_answer_that_may_pass_ends_the_stream(passing, monkeypatch, caplog):
+def test_no_temporary_error_ends_the_stream(passing, monkeypatch, caplog):
     monkeypatch.setattr(connection, "RETRY_S", 0.0)
     asked = []
     streams = iter([frame(1), passing, passing, frame(2)])

@@ -60,7 +60,7 @@ def serve_response(status, body):
     ],
     ids=",".join,
 )
-def test_loopback_is_asked_directly(variables, monkeypatch, tmp_path):
+def test_loopback_is_connected_directly(variables, monkeypatch, tmp_path):
     (tmp_path / "netrc").write_text("default login ann password secret\n")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     for name, value in variables.items():
@@ -130,7 +130,7 @@ def test_a_variable_that_cannot_be_used_is_named(address, variable, value, monke
     assert "secret" not in str(refused.value)
 
 
-def test_an_address_that_is_none_is_no_raw_error():
+def test_an_invalid_address_raises_a_client_error():
     with pytest.raises(client.ClientError, match="give an address like"):
         client.open("http://[::1")
 
@@ -138,7 +138,7 @@ def test_an_address_that_is_none_is_no_raw_error():
 @pytest.mark.parametrize(
     ("status", "body"), [(502, b"<h1>Bad Gateway</h1>"), (200, b"<h1>Log in</h1>"), (407, b'["who?"]')]
 )
-def test_what_a_proxy_answers_is_reported_with_its_variable(status, body, monkeypatch):
+def test_a_proxy_response_is_reported_with_the_proxy_variable(status, body, monkeypatch):
     with serve_response(status, body) as (port, requests):
         monkeypatch.setenv("HTTP_PROXY", f"127.0.0.1:{port}")
         with (

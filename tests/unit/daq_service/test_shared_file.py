@@ -55,7 +55,7 @@ def test_other_errors_are_not_waited_for(error):
 
 
 @pytest.mark.parametrize("call", ["open", "replace", "unlink"])
-def test_what_must_not_fail_waits(tmp_path, monkeypatch, call):
+def test_a_required_call_waits(tmp_path, monkeypatch, call):
     monkeypatch.setattr(shared_file.os, call, FailingCall(getattr(os, call), 3))
     path = tmp_path / "set.h5"
     if call == "unlink":
@@ -80,7 +80,7 @@ def test_a_reader_waits_for_what_it_needs_and_not_for_a_hint(tmp_path, monkeypat
         read_shared(tmp_path / "absent")
 
 
-def test_a_hint_is_given_up_at_once_and_the_next_one_is_whole(tmp_path, monkeypatch):
+def test_an_optional_write_is_given_up_immediately_and_the_next_one_is_complete(tmp_path, monkeypatch):
     path = tmp_path / "picture.bin"
     assert write_hint(path, b"first") is None
     with monkeypatch.context() as held:

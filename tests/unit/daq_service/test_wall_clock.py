@@ -142,13 +142,13 @@ def test_a_reported_clock_step_is_not_reported_again(machine: Machine) -> None:
         (7300.0, True, ""),
     ],
 )
-def test_what_is_doubted_after_a_reboot(gap_h: float, synchronised: bool, doubted: str) -> None:
+def test_a_clock_is_unverified_after_a_long_reboot(gap_h: float, synchronised: bool, doubted: str) -> None:
     reason = Before(last_utc_ns=NOW_NS).doubt(NOW_NS + round(gap_h * NS_PER_H), synchronised=synchronised)
     assert bool(reason) == bool(doubted)
     assert doubted in reason
 
 
-def test_time_stands_still_while_it_is_doubted_and_goes_on_when_the_clock_is_set(machine: Machine) -> None:
+def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
     observations = []
@@ -172,7 +172,7 @@ def test_time_stands_still_while_it_is_doubted_and_goes_on_when_the_clock_is_set
     assert clock.wait_while_doubted(idle) is None, "nothing is doubted any more"
 
 
-def test_a_clock_that_is_trusted_never_goes_back_before_what_is_stored(machine: Machine) -> None:
+def test_a_trusted_clock_never_goes_back_before_stored_times(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
     answer = clock.trust()
@@ -194,7 +194,9 @@ def test_a_wait_that_is_ended_leaves_the_doubt(machine: Machine) -> None:
 @pytest.mark.parametrize(
     ("platform", "name"), [("linux", "CLOCK_BOOTTIME"), ("darwin", "CLOCK_MONOTONIC_RAW")]
 )
-def test_what_counts_sleep_is_read(platform: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_clock_that_counts_sleep_is_read(
+    platform: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(time, name, 77, raising=False)
     monkeypatch.setattr(time, "clock_gettime_ns", lambda clock_id: 1000 + clock_id, raising=False)
     assert elapsed_source(platform)() == 1077
@@ -207,7 +209,7 @@ def test_what_counts_sleep_is_read(platform: str, name: str, monkeypatch: pytest
     ("answer", "maxerror_us", "synchronised"),
     [(0, 1000, True), (5, 1000, True), (5, 16_000_000, False), (-1, 0, False)],
 )
-def test_linux_is_asked_for_the_error_of_its_clock(
+def test_on_linux_the_clock_error_is_queried(
     answer: int, maxerror_us: int, synchronised: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Kernel:

@@ -226,7 +226,7 @@ def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archi
         archive.read_set(stored.file)
 
 
-def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_path, monkeypatch):
+def test_a_segment_that_cannot_be_removed_is_removed_with_the_next_set(archive, tmp_path, monkeypatch):
     for index in (SET_INDEX, SET_INDEX + 1):
         archive.store_set(other_set(make_set(), index))
         archive._kept._abandon()

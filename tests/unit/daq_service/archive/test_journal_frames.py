@@ -23,7 +23,7 @@ def sound(content):
 ALL = sound(SEGMENT)
 
 
-def test_every_record_comes_back_bit_for_bit():
+def test_every_record_is_restored_bit_for_bit():
     found = [record_of(frame) for frame in frames(SEGMENT) if frame.sequence >= 0]
     assert bits(found) == bits(RECORDS)
     assert len(ALL) == len(WRITTEN)

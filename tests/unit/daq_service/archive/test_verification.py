@@ -222,7 +222,7 @@ def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
     assert check_journal(journal).damages == []
 
 
-def test_records_of_format_1_0_are_compared_with_what_that_format_says(path, monkeypatch):
+def test_records_of_format_1_0_are_verified_by_that_format(path, monkeypatch):
     older = replace(make_set(), outcomes={}, missed=[], trouble="", environment={})
     monkeypatch.setattr("daq_service.archive.layout.FORMAT_VERSION", "1.0")
     content = build_image(older)

@@ -145,7 +145,7 @@ WANTED = {
 
 @pytest.mark.parametrize("wanted", WANTED.values(), ids=WANTED)
 @pytest.mark.parametrize("alignment", ["trigger", "first"])
-def test_tiles_draw_what_the_records_hold(copied, stored, tiles, alignment, wanted):
+def test_tiles_give_the_same_figure_as_the_records(copied, stored, tiles, alignment, wanted):
     its = tiles(alignment)
     picture = draw(stored, its, wanted)
     expected = stored.expected(its, picture.frame, wanted.first, wanted.last, picture.row_sets)

@@ -11,7 +11,7 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot
 from hardware_drivers.methods import Method
 
 
-def test_each_method_has_an_entry_and_each_record_knows_its_own() -> None:
+def test_each_method_has_an_entry_and_each_record_its_method() -> None:
     assert set(METHODS) == set(get_args(Method)) == {Shot.method, PulseEchoRecord.method}
 
 

@@ -184,7 +184,7 @@ def test_a_restart_with_the_same_sets_has_the_same_state():
             )
 
 
-def test_a_set_without_a_vector_leaves_the_chart_as_it_was():
+def test_a_set_without_a_vector_does_not_change_the_chart():
     assessed_sets = [*baseline(), set_summary(LAST + 1, shift=0.03)]
     state, assessment = state_after(assessed_sets)
     assert state.memory == assessment.memory != state_after(baseline())[0].memory

@@ -346,7 +346,7 @@ def test_a_folder_may_have_any_name(tmp_path):
 # A set in one piece ---------------------------------------------------------------------------
 
 
-def test_what_is_committed_is_read_back(writer, reader):
+def test_a_committed_set_reads_back_equal(writer, reader):
     commit = commit_of(3, "ABC")
     writer.commit_set(commit)
     for given, found in (
@@ -727,7 +727,7 @@ def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
     assert reader.held() == "held by bob: door"
 
 
-def test_trends_come_as_columns(filled):
+def test_trends_have_columns(filled):
     assert filled.columns(FeatureRow, ["set_index", "tof_pp_s"], position="B", scope="set", first_h=4.0) == {
         "set_index": [4, 5],
         "tof_pp_s": [3.3e-4 + 1e-6 * 4, 3.3e-4 + 1e-6 * 5],
@@ -802,7 +802,7 @@ def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
     assert [row.name for row in reader.rows(BaselineRow, position="B")] == ["B-1", "B-2"]
 
 
-def test_a_restart_knows_what_is_done_and_the_next_sequence(writer):
+def test_a_restart_gets_the_finished_sets_and_the_next_sequence(writer):
     assert (writer.committed_sets(), writer.next_sequence()) == (set(), 1)
     writer.commit_set(commit_of(4, "B"))
     assert (writer.committed_sets(), writer.next_sequence()) == ({4}, 403)

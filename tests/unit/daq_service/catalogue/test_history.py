@@ -64,7 +64,7 @@ def stored(catalogue, set_index, sha256=None):
     return row.file
 
 
-def test_where_sets_have_no_journal_their_digests_come_with_their_rows(catalogue, follower, tmp_path):
+def test_without_a_journal_digests_are_written_with_the_rows(catalogue, follower, tmp_path):
     files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(3)}
     follower.follow()
     assert read_history(tmp_path).digests == files

@@ -172,7 +172,7 @@ def test_blocks_depend_on_the_rows_alone_and_a_wrong_one_is_reported(tmp_path):
             assert list(trend_differences(connection)) == []
 
 
-def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_path):
+def test_a_block_with_missing_last_sets_is_stored_with_a_later_set(tmp_path):
     with new_catalogue(tmp_path) as catalogue:
         for index in (*range(70), 300):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))

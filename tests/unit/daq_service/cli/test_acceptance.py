@@ -139,7 +139,7 @@ def test_shortfalls_and_faults_are_listed_by_kind(faulty):
     assert dict(rows(report, "flags"))["no_psw"] == 4 + 2  # and two were struck once more
 
 
-def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faulty):
+def test_a_number_has_a_unit_and_its_method_or_the_reason_of_its_absence(faulty):
     for item in report_of(faulty).quantities:
         assert item.unit, item.name
         assert item.how, item.name
@@ -357,7 +357,7 @@ def number(value, **changes):
         (number(None, missing="no", applies=False), "does not apply"),
     ],
 )
-def test_a_limit_is_kept_by_a_whole_interval(found, state):
+def test_a_limit_applies_to_the_whole_interval(found, state):
     asked = Criterion(quantity="x", sense="at most", limit=1.0)
     assert [item.state for item in compared([asked], {"x": found})] == [state]
     value, low, high = (None if end is None else -end for end in (found.value, found.high, found.low))
@@ -387,7 +387,7 @@ def test_limits_are_overridden_by_name(faulty):
 
 
 @pytest.mark.parametrize("text", ["longest_gap_h", "nobody=1", "longest_gap_h=long", "longest_gap_h=nan"])
-def test_a_limit_that_is_none_is_refused(text):
+def test_an_invalid_limit_is_rejected(text):
     with pytest.raises(UsageError, match=re.escape(text)):
         with_limits([text])
 
@@ -546,6 +546,6 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
     assert certify("--data-dir", tmp_path)[0] == 4
 
 
-def test_the_json_holds_what_the_certificate_says(faulty):
+def test_the_json_agrees_with_the_report(faulty):
     report = report_of(faulty)
     assert json.loads(json.dumps(as_json(report), allow_nan=False))["verdict"] == report.outcome

@@ -65,7 +65,7 @@ def records_of(folder, position):
     ]
 
 
-def test_a_running_test_gives_every_record_with_its_volts_and_times(running, tmp_path):
+def test_a_running_test_exports_every_record_with_voltages_and_times(running, tmp_path):
     result = export_hdf5(running, tmp_path / "all.h5")
     assert (result.sets, result.waiting, result.left_out) == (SETS, 0, {})
     with h5py.File(tmp_path / "all.h5") as file:
@@ -118,7 +118,7 @@ def test_columns_are_the_catalogue_s_with_their_units(running, tmp_path):
         assert configuration == catalogue.experiment_row().configuration
 
 
-def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_path):
+def test_records_of_another_length_have_a_separate_array(folder, tmp_path):
     path = set_files(folder)[1]
     record = read_set(path)
     shorter = [
@@ -154,7 +154,7 @@ def test_missing_and_corrupt_files_are_left_out_and_listed(folder, tmp_path):
         assert file["entry/B_sets/set_index"][()].tolist() == [0, 1, 2], "its rows are there all the same"
 
 
-def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
+def test_a_set_in_the_journal_is_no_corruption(folder, tmp_path):
     path = set_files(folder)[2]
     record = read_set(path)
     path.unlink()

@@ -165,7 +165,7 @@ main()
 """
 
 
-def test_the_first_words_of_the_demo_come_before_anything_is_imported() -> None:
+def test_the_demo_prints_its_first_line_before_the_imports() -> None:
     done = subprocess.run([sys.executable, "-c", FIRST_WORDS], capture_output=True, text=True, check=True)
     assert done.stderr.startswith("solimon demo: ")
     assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}

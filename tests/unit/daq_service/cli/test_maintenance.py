@@ -155,7 +155,7 @@ def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     )
 
 
-def test_another_version_of_the_extractor_may_say_something_else(folder):
+def test_results_of_another_extractor_version_are_not_compared(folder):
     change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
     assert not any("in the file" in item.told for item in verify_folder(folder).damage)
 
@@ -222,7 +222,9 @@ def notify_three(folder):
     ],
     ids=["changed", "taken away", "torn"],
 )
-def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, message, write_three, kind, file, remedy):
+def test_a_changed_or_missing_line_of_a_log_is_corruption(
+    folder, harm, message, write_three, kind, file, remedy
+):
     write_three(folder)
     assert kinds(folder) == []
     path = folder / file
@@ -245,7 +247,7 @@ def end_of_history(folder, *, lines):
     [lambda folder: end_of_history(folder, lines=4), lambda folder: (folder / "history.jsonl").unlink()],
     ids=["cut off", "gone"],
 )
-def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_start(folder, harm):
+def test_a_history_shorter_than_the_catalogue_is_corruption_until_the_next_start(folder, harm):
     harm(folder)
     code, answer = solimon("verify", "--data-dir", folder)
     assert code == 4
@@ -257,7 +259,7 @@ def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_st
 
 
 @pytest.mark.parametrize(("behind_s", "damage"), [(0.9, []), (61.0, [("history", "history.jsonl", None)])])
-def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behind_s, damage):
+def test_a_history_cut_by_a_crash_is_no_corruption(folder, behind_s, damage):
     end_of_history(folder, lines=12)
     with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
         last = database.execute("SELECT max(id) FROM events").fetchone()[0]
@@ -348,7 +350,7 @@ def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
     assert verify_folder(data).damage == []
 
 
-def test_verify_never_takes_the_recorders_lock_and_gives_way(folder, monkeypatch):
+def test_verify_never_takes_the_recorders_lock(folder, monkeypatch):
     given = []
     monkeypatch.setattr(command.os, "nice", given.append, raising=False)
     with own_data_folder(folder):
@@ -433,7 +435,7 @@ def test_repair_without_a_backup_keeps_readable_data(folder, tmp_path):
     assert (code, {step["does"] for step in answer["steps"]}) == (4, {"nothing"})
 
 
-def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside(folder):
+def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     record = FolderSetReader(folder).read_set(FILES[2])
     content = (folder / FILES[2]).read_bytes()
     (folder / FILES[2]).unlink()
@@ -501,7 +503,7 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
         back_up(folder, copy)
 
 
-def test_an_interrupted_backup_leaves_the_one_before_and_goes_on(folder, tmp_path, monkeypatch):
+def test_an_interrupted_backup_keeps_the_previous_one_and_can_continue(folder, tmp_path, monkeypatch):
     """The disk is full at each write in turn."""
     copy, real = tmp_path / "copy", backup.write_durably
     for refused in range(1, 2 + SETS):

@@ -40,7 +40,7 @@ def run(*arguments: object) -> None:
     assert result.exit_code == 0, result.output
 
 
-def test_one_path_is_the_test_alone_as_a_configuration_or_its_folder(served, tmp_path):
+def test_one_path_serves_one_test_from_a_configuration_or_a_folder(served, tmp_path):
     (tmp_path / "folder").mkdir()
     run("test.toml", "--port", 0)
     run("folder")

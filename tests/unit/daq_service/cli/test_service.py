@@ -84,7 +84,7 @@ def test_systemd_verifies_the_units(config: Path) -> None:
     assert verify(*write_service(config, "systemd", "--user", "root")["files"]) == ""
 
 
-def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> None:
+def test_a_unit_that_systemd_rejects_is_detected(config: Path) -> None:
     """This shows that the check above can fail."""
     recorder = write_service(config, "systemd", "--user", "root")["files"][0]
     text = Path(recorder).read_text(encoding="utf-8")

@@ -98,7 +98,7 @@ def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
     assert value.get() == "go on"
 
 
-def test_a_second_answer_to_one_question_is_none_to_the_next(terminal):
+def test_a_second_answer_to_one_question_does_not_answer_the_next(terminal):
     """Page and terminal answer at the same time: the later answer must not cause a strike."""
     dialogue = Dialogue()
     value = ask_in_thread(dialogue, HEIGHT, float)

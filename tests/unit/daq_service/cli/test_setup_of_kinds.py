@@ -66,7 +66,7 @@ def test_an_unsuitable_trigger_level_is_proposed_again(file):
     assert instruments(file)["scripted-levelled"].trigger_level_v == 0.5
 
 
-def test_flags_answer_everything_and_strike_only_when_they_say_so(file, script):
+def test_options_answer_every_question_and_strike_only_with_strike(file, script):
     given = (*SCOPE_AND_HAMMER, *AT_B, "--set", "scripted-scope.range_v=2.5", "--json")
     ended = set_up(file, *given)
     assert ended.exit_code == 0, ended.output
@@ -93,7 +93,7 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     assert not file.exists()
 
 
-def test_nothing_strikes_while_a_recorder_owns_the_folder(file, script, tmp_path):
+def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_path):
     folder = tmp_path / "data"
     bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, folder)
     bench.served["B"] = {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
@@ -128,7 +128,7 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
         (("--set", "scripted-scope.range_v=1", *AT_B), "--set is for --kind"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_opened(file, script, given, message):
+def test_an_impossible_setup_is_rejected_before_any_instrument_is_opened(file, script, given, message):
     with pytest.raises(UsageError, match=re.escape(message)):
         set_up(file, *given)
     assert script.events == []

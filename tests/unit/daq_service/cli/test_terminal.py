@@ -75,7 +75,7 @@ def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureF
     ]
 
 
-def test_of_consecutive_gaps_with_one_reason_the_first_and_the_last_are_printed(
+def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     log = Log()

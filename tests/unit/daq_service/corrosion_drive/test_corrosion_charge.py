@@ -129,12 +129,12 @@ def row(**changes):
         ({"supply_age_s": None}, {"command": Command(), "booked_utc_ns": None}),
     ],
 )
-def test_a_restart_goes_on_from_the_newest_row(changes, expected):
+def test_a_restart_continues_from_the_newest_row(changes, expected):
     state = restored_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
     tripped = changes.get("supply_tripped")
     assert state == DriveState(charge=Charge(coulomb=123.0, unknown_s=7.0), tripped=tripped, **expected)
 
 
 @pytest.mark.parametrize("newest", [None, row(supply_state="absent", charge_coulomb=None, unknown_s=None)])
-def test_without_a_supplys_row_it_starts_at_nothing(newest):
+def test_without_a_row_of_the_supply_the_charge_starts_at_zero(newest):
     assert restored_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()

@@ -451,7 +451,7 @@ def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
         assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_unwatched"})
 
 
-def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
+def test_a_supply_that_is_on_is_never_given_up(tmp_path: Path) -> None:
     write_kept(tmp_path, kept_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18))
     bench = Bench(tmp_path)
     bench.supply.error = LOST

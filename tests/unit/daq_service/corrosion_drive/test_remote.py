@@ -249,7 +249,7 @@ def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(ben
     assert not bench.process.leaves, "the old one waits for it"
 
 
-def test_a_process_that_kept_an_old_command_learns_that_it_has_ended(bench: Bench) -> None:
+def test_a_process_with_an_old_command_is_notified_of_its_end(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     old = (bench.folder / "drive.json").read_bytes()

@@ -46,7 +46,7 @@ def test_a_full_disk_costs_lines_which_are_counted_and_no_traceback(logged, tmp_
     assert capsys.readouterr().err == ""
 
 
-def test_a_log_that_somebody_reads_is_not_rotated_but_goes_on(logged, tmp_path, monkeypatch):
+def test_a_log_that_is_open_in_a_reader_is_not_rotated_but_continued(logged, tmp_path, monkeypatch):
     """Windows does not rename an open file."""
     handler, write = logged
     handler.maxBytes = 30

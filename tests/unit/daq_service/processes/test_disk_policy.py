@@ -60,7 +60,7 @@ class Volume:
         return self.free, 100 * GB
 
 
-def test_the_reserve_is_kept_given_back_when_the_disk_is_full_and_made_again(tmp_path):
+def test_the_reserve_is_released_when_the_disk_is_full_and_restored(tmp_path):
     volume, reserve = Volume(), tmp_path / RESERVE_FILE
     disk = DiskWatch(tmp_path, StorageSettings(reserve_mb=2), usage=volume, mono_s=lambda: volume.now_s)
 

@@ -51,7 +51,7 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
         ("ours", None, "ours", 900),
     ],
 )
-def test_no_time_is_taken_up_from_another_boot(
+def test_no_time_of_another_boot_is_used(
     tmp_path: Path, written_in: str | None, line: TimeLine | None, boot: str | None, elapsed_ns: int
 ) -> None:
     Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: written_in, time_line=lambda: line).beat("waiting")

@@ -128,7 +128,7 @@ def test_a_recorder_that_does_not_run_is_detected(bench: Bench, word: Word) -> N
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 
 
-def test_after_a_start_of_the_computer_it_has_time_to_come(bench: Bench) -> None:
+def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.hour = 0.1
     bench.store()
     bench.word, bench.hour = "silent", 9.0

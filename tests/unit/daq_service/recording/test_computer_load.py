@@ -83,7 +83,7 @@ def test_a_step_of_the_computer_s_clock_is_how_far_it_is_ahead_from_then_on():
     assert its.read(Cost())["clock_ahead_s"] == 3600.0
 
 
-def test_each_set_that_was_taken_has_one_reading_and_a_missed_one_none(tmp_path):
+def test_each_taken_set_has_one_reading_and_a_missed_one_has_none(tmp_path):
     def script(key):
         return AcquisitionTimeoutError("nothing triggered") if key.set_index == 3 else healthy(key)
 

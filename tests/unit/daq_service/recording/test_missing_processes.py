@@ -65,7 +65,7 @@ def test_a_service_that_stalls_is_missing_until_it_responds(web: Web) -> None:
     assert next(web.looks(watch, 1.0)) is False
 
 
-def test_without_a_service_or_after_its_orderly_end_none_is_missing(web: Web) -> None:
+def test_a_service_never_started_or_ended_in_order_is_not_missing(web: Web) -> None:
     watch = web.watch()
     assert set(web.looks(watch, 2.0 * WEB_STARTS_WITHIN_S)) == {False}
     web.beat()

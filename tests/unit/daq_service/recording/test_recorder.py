@@ -307,7 +307,7 @@ def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     )
 
 
-def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, undisturbed):
+def test_in_real_time_below_five_percent_free_no_shot_is_acknowledged(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf), []
     assert line.run(
@@ -325,7 +325,7 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
 @pytest.mark.parametrize(
     ("free_gb", "level", "alarms"), [(15.0, "warn", []), (9.0, "alarm", [("disk_space", "medium")])]
 )
-def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(
+def test_above_five_percent_free_the_test_continues_with_an_event_or_an_alarm(
     line, undisturbed, free_gb, level, alarms
 ):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
@@ -542,7 +542,7 @@ def stop_in_set(line, key, **options):
 
 
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
-def test_a_set_that_a_stop_cut_short_goes_on_with_the_missing_strikes_only(line, tmp_path, key):
+def test_an_interrupted_set_continues_with_its_missing_strikes(line, tmp_path, key):
     position, set_index, shot_index = key
     undisturbed = Line(tmp_path / "whole")
     undisturbed.folder.mkdir()

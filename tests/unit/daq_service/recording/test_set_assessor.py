@@ -205,7 +205,7 @@ def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatc
     assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
 
 
-def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch):
+def test_a_restart_restores_an_old_active_alarm(line, monkeypatch):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
@@ -294,7 +294,7 @@ def run_until(line, position, set_index, script):
     assert not line.run(stop=stop)
 
 
-def test_a_restart_knows_that_a_transducer_was_reinstated(line):
+def test_a_restart_restores_an_enabled_transducer(line):
     def script(key):
         return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
 

@@ -296,7 +296,7 @@ def test_sets_missed_during_sleep_have_that_cause(laboratory):
     assert laboratory.event_payloads("clock_step") == []
 
 
-def test_no_strike_of_a_set_is_early_or_late_for_a_step_within_it(laboratory):
+def test_a_clock_step_within_a_set_moves_no_strike(laboratory):
     key = ShotKey(position="C", set_index=3, shot_index=2)
     times_h = iter([1.0, -2.0, 400.0])
 

@@ -94,7 +94,7 @@ def test_a_position_that_was_retired_at_first_is_known_from_the_configuration(tm
     assert ArchivedShots(FolderSetReader(tmp_path)).positions["E"] == "pulse_echo"
 
 
-def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tmp_path):
+def test_a_corrupt_record_is_a_missed_strike_with_its_reason(tmp_path):
     shots = [make_shot("B", index, 1 + index, n_samples=2000) for index in range(3)]
     record = SetRecord(
         set_index=SET_INDEX,

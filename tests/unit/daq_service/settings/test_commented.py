@@ -42,7 +42,7 @@ def same(one: Any, other: Any) -> bool:
 
 @settings(max_examples=100, deadline=None)
 @given(values=st.dictionaries(NAMES, VALUES, max_size=4))
-def test_what_is_written_is_read_again(values: dict[str, Any]) -> None:
+def test_a_written_configuration_reads_back_equal(values: dict[str, Any]) -> None:
     assert same(tomllib.loads(commented_toml(values, head="Some words\n\nand more")), values)
 
 

@@ -47,7 +47,7 @@ def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
 
 
 @pytest.mark.parametrize("text", [TEXT, WITH_EVERYTHING], ids=["as shipped", "with everything"])
-def test_it_is_accepted(text: str, tmp_path: Path) -> None:
+def test_the_shipped_configuration_is_accepted(text: str, tmp_path: Path) -> None:
     settings = load(tmp_path, text)
     assert settings.rig.kind == "daqmx"
     assert settings.names_of("solitary_wave") == ["B", "C", "D"]
@@ -72,7 +72,7 @@ def test_a_missing_key_is_detected(tmp_path: Path) -> None:
     ]
 
 
-def test_the_other_tables_say_what_the_paper_s_experiment_says(tmp_path: Path) -> None:
+def test_the_other_tables_have_the_values_of_the_paper(tmp_path: Path) -> None:
     """The files of laboratory and twin differ only in the instruments."""
     laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):

@@ -70,7 +70,7 @@ def load(folder: Path, text: str) -> Settings:
     return load_settings(path)
 
 
-def test_each_instrument_knows_what_it_serves_and_has_its_defaults(tmp_path: Path) -> None:
+def test_each_instrument_has_its_positions_and_defaults(tmp_path: Path) -> None:
     settings = load(tmp_path, GOOD)
     boards, scope = instruments_of(settings)
     assert boards.serves == {"digitizer": ("B",), "striker": ("B", "C")}
@@ -188,7 +188,7 @@ def test_a_drive_that_cannot_work_is_refused(old: str, new: str, complaint: str,
         load(tmp_path, GOOD + PSU.replace(old, new))
 
 
-def test_the_schema_that_is_printed_knows_the_kinds_that_are_installed() -> None:
+def test_the_printed_schema_has_the_installed_kinds() -> None:
     schema = schema_with_kinds()
     kinds = {
         choice["then"]["properties"]["kind"]["const"]: choice["then"]

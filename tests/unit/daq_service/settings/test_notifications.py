@@ -59,13 +59,13 @@ def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(
     assert HIDDEN not in str(refusal.value)
 
 
-def test_plain_http_is_for_this_machine_or_asked_for_by_name(tmp_path):
+def test_plain_http_is_accepted_for_this_machine_or_with_plain_http(tmp_path):
     for url, allowed in (("http://127.0.0.1:8000/", False), ("http://alarms.example.org/", True)):
         checked = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
         assert checked.notifications.receivers["duty"].url == url
 
 
-def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_unasked(tmp_path):
+def test_every_kind_of_receiver_can_have_heartbeats_which_are_off_by_default(tmp_path):
     mail = {"kind": "apprise", "url_env": "MAIL"}
     for receiver, wanted in ((DUTY, 10.0), (mail, 3600.0)):
         for given in ({}, {"heartbeat_s": wanted}):

@@ -20,7 +20,7 @@ def stored_configuration() -> dict[str, Any]:
     return NOW.model_dump(mode="json")
 
 
-def test_what_this_version_stores_is_what_it_reads() -> None:
+def test_a_stored_configuration_of_this_version_has_no_differences() -> None:
     assert differences(stored_configuration(), NOW) == []
 
 

@@ -125,7 +125,7 @@ def test_every_rule_and_the_variables_find_theirs_too(expression, label_sets):
 
 
 @pytest.mark.parametrize("expression", [*(expression for _, expression, _ in TARGETS), *RULES])
-def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, families):
+def test_only_counters_are_queried_as_a_rate(expression, families):
     growing = {
         sample.name
         for family in families

@@ -226,9 +226,7 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
     assert at > 12
 
 
-def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the_same_key(
-    make_bench, monkeypatch
-):
+def test_a_message_unlogged_after_a_crash_is_repeated_with_the_same_key(make_bench, monkeypatch):
     bench = make_bench(group_s=10.0)
     bench.alarms.change("hole")
     bench.alarms.change("no_data")
@@ -243,7 +241,7 @@ def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the
     assert changes(other) == [("thickness", "raised")]
 
 
-def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(make_bench):
+def test_a_cursor_of_another_catalogue_starts_at_the_present_with_a_note(make_bench):
     bench = make_bench()
     bench.alarms.change()
     bench.run()
@@ -323,7 +321,7 @@ def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_ben
     assert not is_dead(bench.line.state, bench.now_ns())
 
 
-def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(make_bench, monkeypatch):
+def test_pending_messages_of_an_unreachable_receiver_are_bounded_and_not_lost(make_bench, monkeypatch):
     monkeypatch.setattr("daq_service.processes.notifications.receiver.MOST_WAITING", 20)
     monkeypatch.setattr("daq_service.processes.notifications.receiver.PAGE_EVENTS", 10)
     bench = make_bench(group_s=1.0)

@@ -168,7 +168,7 @@ def webhook(**given):
     return ReceiverSettings(**{"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET", **given})
 
 
-def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
+def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
     (tmp_path / "url").write_text("http://127.0.0.1:8/hook/T0K3N\n", encoding="utf-8")
     receiver = webhook(url="", url_file=str(tmp_path / "url"))
     address = address_of("duty", receiver, {"DUTY_SECRET": SECRET})

@@ -54,7 +54,7 @@ def audit_entries(folder, **wanted):
 # Tokens in their file
 
 
-def test_a_token_is_kept_as_its_hash_for_its_owner_only(tokens):
+def test_a_token_is_stored_as_a_hash_readable_by_its_owner_only(tokens):
     token, text = create_token(tokens, "ann", "operator", days=2.0)
     assert len(text) == 43
     assert text not in tokens.read_text(encoding="utf-8")
@@ -129,7 +129,7 @@ def test_with_a_token_the_name_is_the_token_s(filled, tokens):
     assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
 
 
-def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
+def test_the_page_exchanges_a_token_for_a_cookie_and_logs_out(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as page:
         assert page.get("/").status_code == page.get("/healthz").status_code == 200
@@ -346,7 +346,7 @@ def test_a_handshake_that_never_ends_is_ended(filled, tokens, monkeypatch):
             assert silent.recv(1) == b""
 
 
-def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens):
+def test_behind_a_proxy_only_encrypted_requests_are_served(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     web = {"host_names": ["lab.example.org"], "proxy": "127.0.0.1"}
     forwarded = {"Host": "lab.example.org", "X-Forwarded-For": "10.1.2.3", "Authorization": f"Bearer {text}"}

@@ -319,7 +319,7 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ),
     ],
 )
-def test_invalid_order_points_at_its_part(api, filled, body, pointer):
+def test_an_invalid_command_is_rejected_with_a_pointer(api, filled, body, pointer):
     before = n_commands(filled)
     errors = problem(api.post("/api/v1/commands", json=body), 422, "invalid-request")["errors"]
     assert errors[0]["in"] == "body"

@@ -270,7 +270,7 @@ def test_trend_columns_are_the_catalogues_rows(api, filled):
     assert trend["units"]["amplitude_ratio"] == "1"
 
 
-def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
+def test_a_trend_with_more_sets_than_points_has_bins(api):
     whole, trend = (get(api, f"/api/v1/trends/B{asked}") for asked in ("", "?points=8"))
     models.Trend.model_validate(trend, strict=True)
     assert (whole["bin_sets"], whole["bins"]) == (1, None)
@@ -327,7 +327,7 @@ def test_fit_is_the_least_squares_parabola(api, filled):
     assert (fit["n"], fit["from_h"], fit["to_h"]) == (N_SETS, 0.5, 30.0)
 
 
-def test_fit_of_too_few_sets_says_why(api):
+def test_a_fit_of_too_few_sets_has_a_reason(api):
     fit = get(api, "/api/v1/fits/B?field=tof_pp_s&to_h=1.6")
     assert fit["coefficients"] is None
     assert "3 points" in fit["reason"]

@@ -227,7 +227,7 @@ def _ended(client):
     ids=["silent", "headers", "body"],
 )
 @pytest.mark.parametrize("limit", ["MOST_WAITING", "MOST_WAITING_OF_ADDRESS"])
-def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, limit, request_start):
+def test_connections_with_an_incomplete_request_are_limited(filled, monkeypatch, limit, request_start):
     monkeypatch.setattr(bounded_http, limit, 3)
     monkeypatch.setattr(bounded_http, "LOOK_EVERY_S", 0.02)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:

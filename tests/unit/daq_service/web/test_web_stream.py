@@ -129,7 +129,7 @@ def test_stream_may_be_opened_before_the_first_record(tmp_path):
 
 
 @pytest.mark.parametrize("value", ["x", "-1", "1e3", "9" * 30])
-def test_last_event_id_that_is_none_is_refused(service, value):
+def test_an_invalid_last_event_id_is_rejected(service, value):
     answer = httpx.get(f"{service.url}api/v1/stream", headers={"Last-Event-ID": value})
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
@@ -268,7 +268,7 @@ def test_no_error_of_the_source_ends_the_tail(tmp_path, caplog, monkeypatch):
     assert caplog.text.count("cannot read events") == 3
 
 
-def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
+def test_an_id_ahead_of_the_stream_is_no_gap(tmp_path):
     """REST reads the catalogue itself and may be one poll ahead of the stream."""
 
     async def body(source, context, hub):

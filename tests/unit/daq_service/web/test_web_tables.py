@@ -284,7 +284,7 @@ def test_every_response_is_bounded(api, monkeypatch):
     assert exported(api, "features", "npz", position="B")
 
 
-def test_without_pyarrow_the_others_are_offered(api, monkeypatch):
+def test_without_pyarrow_the_other_formats_are_offered(api, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     answer = api.get("/api/v1/tables/features?format=parquet")
     assert answer.status_code == 422

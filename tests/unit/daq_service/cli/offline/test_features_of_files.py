@@ -63,7 +63,7 @@ def test_counts_give_the_features_of_the_recorder(tmp_path, counts):
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " "])
 @pytest.mark.parametrize("header", [True, False])
-def test_a_table_of_text_gives_the_same_as_the_array(tmp_path, separator, header):
+def test_a_text_table_gives_the_same_features_as_the_array(tmp_path, separator, header):
     values = np.round(volts(n=4), 6)
     lines = [separator.join(f"{value:.6f}" for value in row) for row in values]
     if header:
@@ -108,7 +108,7 @@ def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
     }
 
 
-def test_rails_say_what_is_clipped(tmp_path, counts):
+def test_rail_counts_determine_clipping(tmp_path, counts):
     path = save_array(tmp_path, counts)
     scale = ("--volts-per-count", VOLTS_PER_COUNT)
     assert not any("clipped" in row["flags"] for row in extracted_records(path, *scale))

@@ -93,7 +93,7 @@ def test_rejected_combinations_can_be_rows_with_their_reason() -> None:
     assert plan.rows[2].values == (2, -1)
 
 
-def test_the_identity_knows_parameters_keys_model_and_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch: pytest.MonkeyPatch) -> None:
     axes = [Axis(key="chain.drop_height_m", values=(3e-3, 4e-3))]
     plan = make_plan("coupled", BASE, axes)
     chain, plate, corrosion = BASE

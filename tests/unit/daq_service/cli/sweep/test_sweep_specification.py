@@ -92,12 +92,12 @@ def test_any_text_is_read_or_refused_with_the_text_itself(text: str) -> None:
         ("a.b=0:1:150000,2:3:150000", "coarser"),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_remedy(text: str, message: str) -> None:
+def test_an_impossible_specification_is_rejected_with_a_remedy(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         parse_axis(text)
 
 
-def test_a_sweep_file_gives_one_axis_a_column(tmp_path: Path) -> None:
+def test_a_sweep_file_has_one_axis_per_column(tmp_path: Path) -> None:
     path = tmp_path / "shots.csv"
     path.write_bytes(b'\xef\xbb\xbfchain.sensor,chain.drop_height_m\r\ndisk,0.005\r\nsphere,"3e-3"\r\n\r\n')
     sensor, height = read_sweep_file(path)
@@ -116,7 +116,7 @@ def test_a_sweep_file_gives_one_axis_a_column(tmp_path: Path) -> None:
         (b'a\n"1\n', "no CSV"),
     ],
 )
-def test_a_sweep_file_that_is_none_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+def test_an_invalid_sweep_file_is_rejected(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "shots.csv"
     path.write_bytes(content)
     with pytest.raises(UsageError, match=message):
