@@ -177,7 +177,7 @@ def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
     with pytest.raises(StorageError):
         client.open(tmp_path)
     with (
-        client.open("http://127.0.0.1:9") as unreachable,  # the discard port: nobody listens
+        client.open("http://127.0.0.1:9") as unreachable,  # the discard port: no server listens
         pytest.raises(client.UnreachableError, match="solimon serve"),
     ):
         unreachable.info()
@@ -214,7 +214,7 @@ def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
         folder.say("noted", text="one")
         reading.start()
         port = int(first.netloc.rpartition(":")[2])
-    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
+    # No service runs: present events are received afterwards, with the recorder's restart.
     folder.close()
     again = FilledFolder(tmp_path, Settings(), begun=True)
     again.say("noted", text="two")

@@ -41,7 +41,7 @@ def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine: Machi
     clock = machine.clock()
     machine.set_clock(400.0)
     clock.wait_until(NOW_NS + 6 * NS_PER_S, always)
-    machine.utc_ns -= 400 * NS_PER_H - 700_000_000  # back, and 0.7 s beside where it was
+    machine.utc_ns -= 400 * NS_PER_H - 700_000_000  # back, with an offset of 0.7 s
     clock.wait_until(NOW_NS + NS_PER_H, always)
     ahead_s = [step.ahead_s for step in clock.steps()]
     assert ahead_s == [400 * 3600.0, 0.0]

@@ -161,7 +161,7 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
             (found,) = read_journal(tmp_path, of_set=index, places=places).values()
             assert set(read_journal(tmp_path, of_set=index)) == {index}
             assert (found.is_whole, bits(found.record())) == (True, bits(record))
-        # Of a set that this process wrote alone, not a byte more than its frames.
+        # A set that this process wrote alone has no more bytes than its frames.
         places = archive.places(third.set_index)
         ((number, (start, end)),) = places.items()
         (whole,) = (content for other, content in contents(tmp_path) if other == number)

@@ -59,7 +59,7 @@ def test_records_shifted_by_fractions_of_a_sample_are_aligned():
         peaks.append(int(np.nanargmax(row[1])) + frame.first)
         unmoved = of_record(moved.waveform(), 0.0, frame)
         at_trigger.append(int(np.nanargmax(unmoved[1])) + frame.first)
-    # A maximum between two samples is seen at one of them; quantised, a flat top at one beside.
+    # A maximum between two samples appears at one of them, with a quantized flat top at a neighbor.
     assert max(peaks) - min(peaks) <= 3
     assert max(at_trigger) - min(at_trigger) == pytest.approx(63 * 0.37, abs=3)
 

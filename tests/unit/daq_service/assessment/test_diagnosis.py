@@ -126,13 +126,13 @@ KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMI
 @pytest.mark.parametrize(
     ("causes", "expected"),
     [
-        # Before it stands each set says it.
+        # Before the change is persistent, each set determines the kind.
         ("?S?", "wew"),
-        # An unsure cause changes no alarm's kind, five sets running do.
+        # An undetermined diagnosis does not change the kind, five consecutive sets do.
         ("?SSS?S??S????S", "weeeeeeeeeeeee"),
         ("?SSS????SE?????", "weeeeeeeeeeeeew"),
         ("????SSSS?SSESSS", "wwwwwwwwwwwwwee"),
-        # What was asked twice does at once; a healthy set says nothing of a change that stands.
+        # A confirmed diagnosis does immediately; a healthy set does not affect a persistent change.
         ("?SSSW", "weeew"),
         ("????C?C??", "wwwweeeee"),
         ("?SSSoooooo", "weeeeeeeee"),
@@ -194,7 +194,7 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     assert any(
         "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
     )
-    # What is not sure any more does not take it back, only health does.
+    # An undetermined diagnosis does not reverse it, only a healthy set does.
     unsure = replace(wall_row, cause=UNDETERMINED)
     assert wall_conditions("B", named, chart, unsure)[0].present
     # Where k of n sets decide, they alone do.

@@ -47,7 +47,7 @@ def assessment_row(outlier):
     ("last_set", "assessment", "alarms", "word"),
     [
         (None, None, [], "no_data"),
-        # It was reinstated after this set: what it is now is told by its alarms.
+        # It was enabled after this set: its alarms determine the present status.
         (replace(SET, state="retired"), assessment_row(False), [], "normal"),
         (SET, assessment_row(False), [ALARM], "alarm"),
         (SET, assessment_row(False), [ALARM, replace(ALARM, kind="hole")], "retired"),

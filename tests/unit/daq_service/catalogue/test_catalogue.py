@@ -478,7 +478,7 @@ def test_every_row_is_valid_strict_json(writer, reader):
     assert orjson.loads(orjson.dumps(plain)) == plain
 
 
-# Verdicts of the baseline ---------------------------------------------------------------------
+# Assessments in the baseline ------------------------------------------------------------------
 
 
 def test_an_assessment_in_the_baseline_is_completed_in_its_row(writer, reader):

@@ -164,15 +164,15 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
         open_catalogue(tmp_path)
     open_catalogue(tmp_path, writer=True).close()
     for table, rows in before.items():
-        # New columns stand behind.
+        # New columns are at the end.
         assert [row[: len(rows[0])] for row in rows_of(path, table)] == rows, table
-    # What is true of an old row: nothing was repeated, all records count.
+    # In an old row no shot was repeated, and all records count.
     assert rows_of(path, "sets", "n_missed, n_restrikes") == [(0, 0)] * 2
     assert rows_of(path, "shots", "outcome") == [("accepted",)] * 2
     assert rows_of(path, "alembic_version") == [(migrations.SCHEMA_REVISION,)]
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
-        # Nobody carries out what was ordered before the update.
+        # A command from before the update is not executed.
         order, left_s = command_state(catalogue, 5)
         assert (order.state, left_s) == ("expired", 0.0)
         assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2

@@ -215,7 +215,7 @@ def test_no_frequent_query_reads_every_row(tmp_path):
             scanned = re.match(r"SCAN (\w+)( USING)?", step)
             if scanned is not None and scanned[1] in GROWING:
                 # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11,
-                # but for the few that are beside the plan.
+                # except for the few unscheduled sets.
                 asked = re.sub(r"WHERE \w+\.set_index < \?", "", sql)
                 filtered = "WHERE" in asked and "shot_index IS" not in asked
                 page = "LIMIT" in sql and not scanned[2] and not filtered

@@ -19,6 +19,6 @@ def test_a_catalogue_on_a_read_only_volume_is_read_without_a_second_file(tmp_pat
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.experiment_row().name == "test"
         assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
-    # Whoever has it open elsewhere writes a log, which must not be overlooked.
+    # A process that has it open elsewhere writes a log, which must be read, too.
     (tmp_path / f"{FILE_NAME}-wal").touch()
     assert not _cannot_change(tmp_path / FILE_NAME)

@@ -128,7 +128,7 @@ def test_shortfalls_and_faults_are_listed_by_kind(faulty):
     [(times, longest_h, together_h, standing, message)] = [
         values for kind, *values in rows(report, "faults") if kind == "rig_unavailable"
     ]
-    # From the end of set 5 to that of 7, and from 10 to 11: one alarm that nobody acknowledged.
+    # From the end of set 5 to that of 7, and from 10 to 11: one unacknowledged alarm.
     assert (times, standing) == (2, 0)
     assert (longest_h, together_h) == pytest.approx((1.0, 1.5), abs=0.03)  # each ends with a set of 44 s
     assert "chassis" in message
@@ -136,7 +136,7 @@ def test_shortfalls_and_faults_are_listed_by_kind(faulty):
         flagged = database.execute("SELECT value FROM shots, json_each(flags)").fetchall()
     database.close()
     assert dict(rows(report, "flags")) == Counter(flag for (flag,) in flagged)
-    assert dict(rows(report, "flags"))["no_psw"] == 4 + 2  # and two were struck once more
+    assert dict(rows(report, "flags"))["no_psw"] == 4 + 2  # and two were repeated
 
 
 def test_a_number_has_a_unit_and_its_method_or_the_reason_of_its_absence(faulty):
@@ -243,7 +243,7 @@ def test_delays_are_quantiles_of_start_less_due(real):
         for index, delay in enumerate(delays_s)
     ]
     found = numbers(certificate(replace(evidence, sets=its), DEFAULTS))
-    # Of 200 values the 100th and the 198th are the smallest that half and 99 % do not exceed.
+    # The 100th and 198th of 200 values are the smallest that 50 % and 99 % do not exceed.
     names = ("start_delay_p50_s", "start_delay_p99_s", "start_delay_max_s")
     assert [found[name] for name in names] == pytest.approx([1.0, 1.98, 2.0], abs=1e-9)
     assert found["set_duration_max_s"] == pytest.approx(39.99, abs=1e-9)

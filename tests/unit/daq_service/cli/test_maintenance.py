@@ -329,7 +329,7 @@ def test_a_corrupt_catalogue_is_reported_or_reads_unchanged(tmp_path, numbers):
     assert sum(one_damaged_catalogue(tmp_path / "data", number) for number in numbers) > 0
 
 
-# Beside a recorder ---------------------------------------------------------------------------------
+# During a recording --------------------------------------------------------------------------------
 
 
 def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
@@ -586,7 +586,7 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     assert verify_folder(copy).damage == []
 
 
-# What is gone is told without reading ---------------------------------------------------------------
+# Missing files are reported without a read ----------------------------------------------------------
 
 
 def test_status_lists_missing_and_empty_sets(folder):

@@ -145,7 +145,7 @@ def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> Non
     else:
         actions = [ElementTree.parse(file).find(f".//{TASKS}Exec") for file in files]
         assert all(action is not None for action in actions)
-        # What Windows' rules quote with backslashes, a shell's do alike.
+        # Backslash quotes of Windows are valid in a shell, too.
         commands = [
             [action.findtext(f"{TASKS}Command"), *shlex.split(action.findtext(f"{TASKS}Arguments"))]
             for action in actions

@@ -25,7 +25,7 @@ ORDER = CommandRow(
     [
         ("this", 1000, 0, 60.0),
         ("this", 1061, 1, 0.0),  # UTC was set back meanwhile: it stays expired
-        ("this", 1010, 3600, 50.0),  # UTC was set on: it stands all the same
+        ("this", 1010, 3600, 50.0),  # UTC was set forward, which does not affect the deadline
         ("another", 5, 10, 0.0),  # this computer was started again
         (None, 0, 20, 40.0),  # a system that names no boot
         (None, 0, 60, 0.0),

@@ -53,12 +53,12 @@ LATE = "last sign of life 66 s ago while waiting"
         (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
         (False, beat(66.0), "silent", f"not running: {LATE}"),
         (False, beat(1.0, boot="another boot"), "silent", REBOOTED),
-        # Nobody can tell who holds the lock: the heartbeat decides.
+        # The owner of the lock is unknown: the heartbeat decides.
         (None, beat(65.0), "running", "running, waiting"),
         (None, beat(66.0), "silent", f"not running: {LATE}"),
         (None, beat(1.0, boot="another boot"), "silent", REBOOTED),
         (None, beat(-1.0, boot="another boot"), "silent", REBOOTED),
-        # An older version, or a system that names no boot: only a time ahead tells.
+        # An older version, or a system without boot names: only a time in the future shows it.
         (None, beat(1.0, boot=None), "running", "running, waiting"),
         (None, beat(-1.0, boot=None), "silent", REBOOTED),
     ],

@@ -78,7 +78,7 @@ class World:
         )
         return supervisor.run(cast(threading.Event, self), stay=stay)
 
-    # As the event that tells the supervisor to stop: waiting for it lets time pass.
+    # The stop event of the supervisor: a wait for it advances the time.
     def is_set(self) -> bool:
         return self.now_s >= self.until_s
 
@@ -197,7 +197,7 @@ def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
     def wait(seconds: float) -> bool:
         if world.messages:
             return waiting(seconds)
-        patience.wait(0.001)  # time stands still until the line is heard
+        patience.wait(0.001)  # the time does not advance until the line is received
         return False
 
     world.wait = wait  # type: ignore[method-assign]
@@ -369,6 +369,6 @@ def test_a_web_service_that_has_listened_is_started_again_at_its_port(code: int)
             return False
         return waiting(seconds)
 
-    world.wait = wait  # type: ignore[method-assign] # time stands still until the line is heard
+    world.wait = wait  # type: ignore[method-assign] # the time does not advance until the line is received
     world.run(stay=True)
     assert world.started[1][1] == ["solimon", "serve", "--port", "4711"]

@@ -148,7 +148,7 @@ def test_a_step_while_no_recorder_ran_is_found_by_the_next_one(laboratory, by_h)
     laboratory.killed_after(2.2)
     laboratory.machine.sleep(600.0)
     laboratory.machine.set_clock(by_h)
-    laboratory.killed_after(1.0)  # and not told again by the one after it
+    laboratory.killed_after(1.0)  # and not reported again by the next one
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])

@@ -79,7 +79,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
             hung.append(key)
             machine.elapsed_ns += round(HANGS_S * NS_PER_S)
             machine.utc_ns += round(HANGS_S * NS_PER_S)
-            manager.hear()  # whatever was sent meanwhile counts as sent now
+            manager.hear()  # messages sent meanwhile count as sent now
         return healthy(key)
 
     def report(event: str, **values: object) -> None:

@@ -81,7 +81,7 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
         found.append(moment)
         moment = source.next_moment(moment)
     assert found == wanted
-    # Asked anew from the middle, nothing before is needed.
+    # A new read from the middle needs nothing before it.
     again = ArchivedShots(FolderSetReader(tmp_path))
     assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
@@ -190,7 +190,7 @@ def test_faults_of_labview_files_are_usage_errors_and_files_are_closed(tmp_path)
     path = write_set(tmp_path, SET_INDEX, [shot])
     with open_recording(parameters, tmp_path) as source:
         assert source.find(shot.key).waveform.counts.tobytes() == shot.waveform.counts.tobytes()
-    # Only Linux tells; on Windows removing an open file fails.
+    # Only Linux shows it; on Windows the removal of an open file fails.
     still_open = [entry.readlink() for entry in Path("/proc/self/fd").glob("[0-9]*") if entry.is_symlink()]
     assert path not in still_open
     path.unlink()

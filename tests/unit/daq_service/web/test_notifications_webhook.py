@@ -161,7 +161,7 @@ def test_a_refused_connection_and_an_invalid_response_are_outcomes():
     assert outcome.told == "no answer of HTTP (BadStatusLine)"
 
 
-# Where addresses and secrets stand
+# Sources of addresses and secrets
 
 
 def webhook(**given):

@@ -67,7 +67,7 @@ def test_browser_revalidates_by_etag(api):
 
 def test_page_has_nothing_that_its_policy_forbids():
     page = TEXT["index.html"]
-    # Data are no script: nobody runs them.
+    # Data are no script and are not executed.
     assert not re.search(r'<script(?![^>]*(?:\bsrc=|type="application/json"))', page)
     assert not re.search(r"<style|\sstyle=|\son\w+=", page)
     for name in OURS:

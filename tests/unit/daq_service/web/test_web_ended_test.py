@@ -59,7 +59,7 @@ def test_an_acknowledgement_is_done_within_its_request(ended):
 @pytest.mark.parametrize("finished", [True, False])
 def test_other_commands_are_rejected_with_a_remedy(ended, finished):
     filled, api = ended
-    if not finished:  # killed: nothing tells that it has ended but the lock
+    if not finished:  # killed: only the lock shows that it has ended
         again = FilledFolder(filled.folder, filled.settings, begun=True)
         again.say("recorder_started")
         again.close()

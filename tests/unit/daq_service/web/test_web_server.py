@@ -93,7 +93,7 @@ def test_stop_does_not_wait_for_a_client_that_does_not_read(filled):
             assert not service.thread.is_alive()
 
 
-# What nobody may keep open, fill or hold back
+# Limits of connections, requests and responses
 
 
 @contextmanager

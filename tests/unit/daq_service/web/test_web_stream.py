@@ -64,7 +64,7 @@ def test_without_a_start_only_new_events_arrive(filled, service):
     before = stored_ids(filled)
     with connected(service) as events:
         new = filled.add_set(1, stored=False)
-        # Whatever was committed while connecting may be among them, nothing older.
+        # Rows committed during the connection may be included, but no older ones.
         assert next(events).id in new
     assert max(before) < min(new)
 

@@ -222,7 +222,7 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     sets_aside = filled.folder.with_name("aside")
     shutil.move(sets, sets_aside)
     sets.mkdir()
-    shutil.copy(min(sets_aside.iterdir()), sets)  # the first one tells how records are sampled
+    shutil.copy(min(sets_aside.iterdir()), sets)  # the first one has the sampling of the records
     try:
         with served(filled.settings, filled.folder) as other, other.client() as client:
             for query, (header, planes) in zip(queries, before, strict=True):

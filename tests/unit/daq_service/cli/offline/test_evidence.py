@@ -87,7 +87,7 @@ class CopyingExecutor(Executor):
 def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract_by, monkeypatch):
     monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(CopyingExecutor()))
     before = content_of(line.folder)
-    # Beside the plan there are two more: both suspicions were confirmed.
+    # There are two unscheduled sets: both outliers were confirmed.
     found = replayed(line.folder, (), extract_by=extract_by)
     assert (found.sets, found.extracted, found.differences) == (25, extract_by is not None, [])
     assert raised_sets(found.alarms.kept) == RAISED
@@ -99,7 +99,7 @@ def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
     assert {item.kind for item in found.alarms.kept} == {"no_data", "retired", "not_judged"}
-    # D has two poor sets running in set 3, and was reinstated before it had four.
+    # D has two consecutive poor sets in set 3, and was enabled before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
     assert raised_sets(later.go) == {("D", "no_data"): 3}
 
@@ -122,7 +122,7 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
     assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
     limit = of_b["baseline", "limits.f_predictive"]
     assert limit.again < limit.stored
-    # Set 15 was judged, and is part of the baseline now.
+    # Set 15 was assessed and is now part of the baseline.
     assert of_b["assessment", "in_baseline"].n_rows == 1
     assert of_b["assessment", "in_baseline"].first_set_index == 15
     assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
@@ -130,7 +130,7 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
 
 @pytest.mark.parametrize(
     ("hours", "unjudged"),
-    # C has a hole in set 22 and is struck no more.
+    # C has a hole in set 22 and is not struck afterwards.
     [(7.5, []), (12, [("C", 23, 22)]), (12.5, [("B", 24, 24), ("C", 24, 22)])],
 )
 def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours, unjudged):
