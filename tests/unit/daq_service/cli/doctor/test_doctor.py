@@ -231,7 +231,7 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
 
 
 @pytest.mark.parametrize(
-    ("system", "answer", "left_alone", "words"),
+    ("system", "answer", "left_alone", "message"),
     [
         ("linux", {"ps": "systemd\nbash"}, True, "none that is known"),
         ("linux", {"ps": "systemd\nclamonacc"}, None, "ClamAV"),

@@ -105,7 +105,7 @@ def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state
 
 
 @pytest.mark.parametrize(
-    ("features", "survey", "state", "words"),
+    ("features", "survey", "state", "message"),
     [
         (ShotFeatures(isw_amplitude_v=2.5), None, "ok", "10% of the incident wave"),
         (ShotFeatures(isw_amplitude_v=0.3), None, "warn", "83% of the incident wave"),

@@ -325,7 +325,7 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
 
 
 @pytest.mark.parametrize(
-    ("names", "waveforms", "error", "words"),
+    ("names", "waveforms", "error", "message"),
     [
         (["t.xlsx"], False, UsageError, r"\.csv, \.h5, \.hdf5, \.parquet"),
         (["t.csv", "t.csv"], False, UsageError, "twice"),
