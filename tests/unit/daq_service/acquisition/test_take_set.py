@@ -102,7 +102,7 @@ def test_a_repetition_is_followed_by_what_its_first_attempt_is_followed_by():
     later_ns = 1_000 * NS_PER_S
     keys = [key for key, _ in plan(first, later_ns)]
     assert [key for key, _ in plan(again, later_ns)] == keys
-    # One interval on from the repetition, not from the first attempt.
+    # One interval after the repetition, not after the first attempt.
     assert next(islice(plan(again, later_ns), 1))[1] == later_ns + round(INTERVAL_S * NS_PER_S)
 
 

@@ -99,7 +99,7 @@ def test_a_shortfall_names_what_ended_the_set_and_what_was_missed():
     )
     cut = taken_set(missed("B", 0), trouble=lost)
     assert cut.shortfall("B", 2, STOPPED) == "board 01A2 is gone; 1 missed: no trigger within 5 s"
-    # Its own strikes were all tried before the trouble came.
+    # All its strikes were made before the error.
     assert taken_set(*silence, trouble=lost).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
     assert taken_set(*silence, trouble=lost).shortfall("C", 2, STOPPED) == "board 01A2 is gone"
 

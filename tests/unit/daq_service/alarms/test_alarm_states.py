@@ -102,7 +102,7 @@ def test_an_active_alarm_reports_its_diagnosis_once(state: AlarmState) -> None:
     assert (change.event_kind, change.row.state) == ("alarm_worsened", "unacknowledged")
     assert (change.row.message, change.row.proof["cause"]) == ("WALL (99 %)", "wall")
     assert change.row.suppressed is None, "it was shelved for what was known then"
-    # Neither again, nor where it is unsure again for a while.
+    # No second event, also if the diagnosis is undetermined for a while.
     for later in (named, condition(True), named):
         assert update(change.row, later, moment(10)) is None
     assert update(raised(known="wall"), named, moment(10)) is None, "it was known when it was raised"

@@ -224,7 +224,7 @@ def test_no_flipped_bit_is_returned_as_data(tmp_path, stored):
     intact = everything(stored)
     path = tmp_path / "flipped.h5"
     found = 0
-    # A bit of every 3000 bytes on average: headers, indexes, chunks and gaps are all met.
+    # A bit of every 3000 bytes on average: headers, indexes, chunks and gaps are all included.
     for offset in np.random.default_rng(3).integers(0, len(whole), len(whole) // 3000):
         path.write_bytes(whole)
         flip(path, int(offset))

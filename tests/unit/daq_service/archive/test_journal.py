@@ -177,7 +177,7 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     compact_set(tmp_path, SET_INDEX)
     file = tmp_path / stored.file
     content = file.read_bytes()
-    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before it heard of the first one
+    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before the first acknowledgement
     assert file.read_bytes() == content
     changed = bytearray(content)
     with h5py.File(file) as opened:

@@ -162,7 +162,7 @@ def test_a_link_in_a_data_folder_is_rejected(path):
     with pytest.raises(CorruptArchiveError, match="it is a link"):
         read_file(link)
     assert "it is a link" in str(check_file(link).damages[0])
-    # A person who names a link to a command means the file behind it.
+    # A link as an argument of a command means the linked file.
     assert open_records(link, Told()).n == len(make_set().shots)
 
 

@@ -21,7 +21,7 @@ from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file
 
 QUICK = [range(15)]
-# A hundred damages on a machine that does other things.
+# A hundred corruptions on a busy machine.
 LONG = (pytest.mark.slow, pytest.mark.timeout(1800))
 SLOW = [pytest.param(range(start, start + 100), marks=LONG) for start in range(30, 1030, 100)]
 
@@ -55,7 +55,7 @@ def test_a_corrupt_file_is_reported_or_reads_unchanged(path, image, numbers):
         named += bool(found.damages)
         assert found.damages or bits(found.record) == bits(make_set()), number
         if not found.damages:
-            # With its SHA-256 a touched file is named also where nothing of value was hit.
+            # With its SHA-256 a changed file is reported also if no value was changed.
             touched = check_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
             assert touched == (content != image), number
     assert named > len(numbers) / 2
@@ -157,7 +157,7 @@ def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
         if not any(broken[end - end % PAGE :]):
             end -= end % PAGE
         if end < used:
-            # It ends early, as after a crash: what is left is read, and no value is another one.
+            # It ends early, as after a crash: the rest is read, and no value differs.
             assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
         else:
             assert found.damages or parsed_line(journal) == before, number

@@ -172,7 +172,7 @@ def test_an_undetermined_cause_raises_the_wall_alarm():
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), cause=UNDETERMINED)
     assert [item.present for item in wall_conditions("B", state, RULES, row)] == [True, False]
-    # Without a cause, as of a folder of an earlier version, the message is as it was.
+    # Without a cause, as in a folder of an earlier version, the message is the old one.
     row = replace(row, cause=None, cause_probability=None, cause_told=None)
     wall, transducer = wall_conditions("B", state, RULES, row)
     assert (wall.present, transducer.present) == (True, False)
@@ -197,7 +197,7 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     # An undetermined diagnosis does not reverse it, only a healthy set does.
     unsure = replace(wall_row, cause=UNDETERMINED)
     assert wall_conditions("B", named, chart, unsure)[0].present
-    # Where k of n sets decide, they alone do.
+    # If k of n sets decide, nothing else does.
     assert not wall_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
     by_chart = wall_conditions("B", alarming, chart, wall_row)[0]
@@ -217,7 +217,7 @@ def test_a_restart_continues_from_the_stored_diagnosis_state():
     assert assessment.cause == whole.cause
     assert resumed.diagnosis_state == state.diagnosis_state
     assert restored_diagnosis_state({"average": [0.0]}) is None
-    # An earlier version kept no word on whether the last set was sure of a wall.
+    # An earlier version did not store whether the last set had a wall diagnosis.
     earlier = restored_diagnosis_state(kept | {"changes_count": kept["changes_count"][:2]})
     assert earlier == replace(before.diagnosis_state, likely=False)
 

@@ -82,7 +82,7 @@ def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings)
     assert found.shot_flags == {2: ("clipped",)}
     assert row.quality == "suspect"
     assert found.n_valid == 1
-    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # what is cut off is cut alike on both sides
+    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # clipping is symmetric
     assert "clipped" in found.note
 
 

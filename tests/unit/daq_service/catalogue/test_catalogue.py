@@ -722,7 +722,7 @@ def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
         writer.commit_set(commit)
         assert reader.held() == held
     assert reader.last_service_event("recorder_started", "release").kind == "release"
-    # Words of other topics are no words of the service.
+    # Events of other topics are no service events.
     writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
     assert reader.held() == "held by bob: door"
 
@@ -775,7 +775,7 @@ def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
             shots=[shot_row(7, "B", 0, 701)],
         )
     )
-    # A retired position is no missed one.
+    # A disabled position is not missed.
     writer.commit_set(SetCommit(sets=[set_row(8, "A"), set_row(8, "B", "retired", 0), set_row(8, "C")]))
     assert filled.counts() == {
         "sets": 8,
@@ -838,7 +838,7 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
         return reader.counts()["shots"] % 4
 
     with ThreadPoolExecutor(8) as pool:
-        # Every commit brings four shots: never is a part of one seen.
+        # Every commit has four shots and is seen completely or not at all.
         assert set(pool.map(ask, range(40))) == {0}
     assert reader.counts()["sets"] == 8
 

@@ -223,7 +223,7 @@ def test_the_end_of_a_long_history_is_sufficient(catalogue, follower, tmp_path, 
 @pytest.mark.parametrize(
     ("last", "is_damage"),
     [
-        (b"\0" * 60 + b'e"}}\n', False),  # a page that the power's end kept from the disk
+        (b"\0" * 60 + b'e"}}\n', False),  # a page not written because of a power cut
         (b'{"crc32":"00000000","n":2}\n', True),
         (b'{"crc32":"00000000","n":2', False),
     ],

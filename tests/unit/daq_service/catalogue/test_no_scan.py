@@ -220,7 +220,7 @@ def test_no_frequent_query_reads_every_row(tmp_path):
                 filtered = "WHERE" in asked and "shot_index IS" not in asked
                 page = "LIMIT" in sql and not scanned[2] and not filtered
                 assert page, (sql, values, steps)
-            # Only what is few is sorted: open orders, standing alarms, a position's resets, a set's shots.
+            # Only short lists are sorted: open commands, active alarms, resets of a position, shots of a set.
             few = "topic = " in sql or "FROM commands" in sql or "FROM alarms" in sql or "FROM shots" in sql
             assert step != "USE TEMP B-TREE FOR ORDER BY" or few, (sql, values, steps)
 

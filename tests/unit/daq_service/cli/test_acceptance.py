@@ -88,7 +88,7 @@ def certify(*arguments):
     return done.exit_code, done.stdout
 
 
-# What happened ---------------------------------------------------------------------------------------
+# Events ----------------------------------------------------------------------------------------------
 
 
 def test_sets_and_records_are_those_that_sql_counts(faulty):
@@ -175,7 +175,7 @@ def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
     real.recorder_ends()
     report = report_of(real.folder)
     found = numbers(report)
-    # Long over by this computer's clock, but for the last set: it could be under way.
+    # All sets are long over by this computer's clock, except the last one, which could be running.
     assert (found["sets_taken"], found["sets_missed"]) == (3, len(real.due) - 1 - 3)
     [(first, _, from_h, _, _, cause)] = rows(report, "gaps")
     assert (first, from_h) == (3, real.due[2].due_h)
@@ -420,7 +420,7 @@ def test_a_number_is_shown_with_its_unit(arguments, text):
     assert shown(*arguments) == text
 
 
-# The word --------------------------------------------------------------------------------------------
+# The outcome -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -433,7 +433,7 @@ def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     page, file = tmp_path / "c.html", tmp_path / "c.json"
     code, printed = certify("--data-dir", recorded, "--html", page, "--json", file, "--verify")
     report = json.loads(file.read_bytes())
-    # Three sets say nothing of memory: not certified, but nothing is broken.
+    # Three sets are too few for the memory trend: incomplete, but not failed.
     assert (code, report["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
     html = page.read_text(encoding="utf-8")
     assert "<title>Certificate of the test" in html

@@ -268,7 +268,7 @@ def test_a_history_cut_by_a_crash_is_no_corruption(folder, behind_s, damage):
         database.execute(
             "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
         )
-    # The times were moved in the catalogue alone, which differs from the history by that.
+    # The times were moved in the catalogue alone, which therefore differs from the history.
     found = [item for item in kinds(folder) if item[0] not in ("row", "catalogue")]
     assert found == damage
 

@@ -193,7 +193,7 @@ def test_an_envelope_keeps_every_crest():
     assert drawn["column_s"] * COLUMNS == pytest.approx(1.36e-3)
 
 
-# What is there ---------------------------------------------------------------------------------------
+# Detected instruments --------------------------------------------------------------------------------
 
 
 def test_a_counter_s_home_is_its_family_s():

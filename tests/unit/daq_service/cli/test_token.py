@@ -110,7 +110,7 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-# Started for others
+# Services for other hosts
 
 
 @pytest.mark.parametrize("command", ["serve", "run"])

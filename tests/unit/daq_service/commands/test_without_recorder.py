@@ -147,7 +147,7 @@ def test_a_killed_process_has_stored_all_changes_or_none(tmp_path: Path, point: 
     assert alarm.state == ("acknowledged" if done else "unacknowledged")
     assert [row.state for row in orders] == (["done"] if done else [])
     assert len(events) == 1 + done
-    # Given again it is done once, all the same, and the history has every line.
+    # A repeated command is done once, and the history has every line.
     if done:
         with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
             acknowledge(tmp_path, alarm_id)

@@ -459,7 +459,7 @@ def test_a_supply_that_is_on_is_never_given_up(tmp_path: Path) -> None:
     assert not bench.process.leaves
 
 
-# What is kept --------------------------------------------------------------------------------------
+# Stored state --------------------------------------------------------------------------------------
 
 
 def test_the_stored_state_reads_back_equal(tmp_path: Path) -> None:

@@ -255,7 +255,7 @@ def test_a_process_with_an_old_command_is_notified_of_its_end(bench: Bench) -> N
     old = (bench.folder / "drive.json").read_bytes()
     bench.answer(bench.remote.switch_off("Ada"))
     bench.is_killed()
-    (bench.folder / "drive.json").write_bytes(old)  # the disk had not taken more
+    (bench.folder / "drive.json").write_bytes(old)  # the disk was full
     bench.supply.on = True  # at the front panel
     bench.comes_up()
     bench.wait_for_row(supply_state="off")

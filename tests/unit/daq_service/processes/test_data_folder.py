@@ -155,7 +155,7 @@ def test_a_folders_own_configuration_is_a_hint(
     if left is not None:
         config.write_bytes(left)
     with pytest.raises(UsageError):
-        settings_and_folder(config, tmp_path)  # no catalogue that would know better
+        settings_and_folder(config, tmp_path)  # no catalogue with newer values
     with open_catalogue(tmp_path, writer=True) as catalogue:
         catalogue.create_experiment(
             name="test",

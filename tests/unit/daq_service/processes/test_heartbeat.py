@@ -124,7 +124,7 @@ def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp
     """A call that hangs immediately must be identified by its name."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
-    clock.cost_ns = 4_000_000  # of each look at the clock: a slow disk
+    clock.cost_ns = 4_000_000  # for each read of the clock: a slow disk
     for _ in range(3):
         heartbeat.beat("waiting for set 1")
         clock.now_ns += 600_000_000

@@ -32,7 +32,7 @@ def run_python(
     return subprocess.run(
         [sys.executable, "-c", START + script],
         preexec_fn=inherit,
-        # Else Python has no buffer to flush at its end.
+        # Otherwise Python has no buffer to flush at its end.
         env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         text=True,
         timeout=WAIT_S,

@@ -45,7 +45,7 @@ LATE = "last sign of life 66 s ago while waiting"
 @pytest.mark.parametrize(
     ("owned", "found", "word", "description"),
     [
-        # The lock alone says who runs, the heartbeat whether it moves.
+        # The lock shows whether a recorder runs, the heartbeat whether it makes progress.
         (True, beat(65.0), "running", "running, waiting"),
         (True, beat(66.0), "silent", f"not answering: {LATE}"),
         (True, None, "running", "running; no heartbeat of it can be read yet"),
@@ -102,7 +102,7 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
     assert state(None) == ("running", "running; no heartbeat of it can be read yet", True)
-    # The last beat of the recorder of an earlier boot is none of the one that has the lock now.
+    # The last beat of an earlier boot is not of the recorder that has the lock now.
     after = state(beat(1.0, stage="ended", boot="another boot"))
     assert after == ("running", "running, starting", True)
 

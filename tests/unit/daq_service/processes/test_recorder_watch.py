@@ -104,7 +104,7 @@ def test_rare_or_commanded_restarts_raise_no_alarm(bench: Bench) -> None:
     bench.store()
     bench.run(0.5, restarts_every_h=2.0 * LOOK_EVERY_H)
     bench.store()
-    bench.stage = "ended"  # each of them took leave
+    bench.stage = "ended"  # each of them ended in order
     bench.run(0.5, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == []
 

@@ -214,7 +214,7 @@ def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
     world.run()
     pauses = [b - a for a, b in zip(world.starts_s(), world.starts_s()[1:], strict=False)]
     expected = [*RESTART_DELAYS_S, RESTART_DELAYS_S[-1], RESTART_DELAYS_S[-1]]
-    # The end is seen one look (0.05 s) after the start, the restart at the first look after the delay.
+    # The end is detected one poll (0.05 s) after the start, the restart at the first poll after the delay.
     assert pauses == pytest.approx([0.05 + delay_s for delay_s in expected], abs=0.051)
     assert world.causes()[:2] == ["", "ended with exit code 1"]
 
@@ -252,7 +252,7 @@ def test_a_recorder_is_killed_at_its_deadline() -> None:
     world = World(hung, ScriptedChild(0))
     world.beat = lambda: beat_at(world, min(world.now_s, 20.0))
     world.run()
-    assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next look after the deadline
+    assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next poll after the deadline
     assert world.causes()[1].startswith("hung while taking set 3: heartbeat 0.")
     assert world.causes()[1].endswith("s past its deadline of 5 s")
 
@@ -276,7 +276,7 @@ def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
     world = World(stalled, ScriptedChild(), plans=(WEB,), until_s=60.0)
     message = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
     stalled.stdout = io.BytesIO(json.dumps(message).encode() + b"\n")
-    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file says nothing of another process
+    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file does not count for another process
     world.run(stay=True)
     assert stalled.killed_s == pytest.approx(16.0, abs=0.101)
     assert len(world.started) == 2

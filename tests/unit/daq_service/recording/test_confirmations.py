@@ -139,7 +139,7 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
     assert not confirmation_rows(without)
 
     def planned(item, table):
-        # Causes do remember what a confirmation said.
+        # The diagnosis depends on confirmation sets.
         causes = ("averages", "cause", "cause_probability", "cause_told")
         ordinal = {"verdicts": ("id", *causes), "features": ("id", "sequence")}[table]
         return [replace(row, **dict.fromkeys(ordinal)) for row in item.rows(table)]

@@ -41,6 +41,6 @@ def test_stored_sets_use_no_memory(tmp_path):
         return healthy(key)
 
     line.script = script
-    line.listen_every_s = 1e9  # how often a fast machine looks for orders is not the matter
+    line.listen_every_s = 1e9  # the number of command polls is not tested here
     assert line.run(archive=ForgetfulArchive(line.shelf))
     assert traced[LAST] - traced[FIRST] < MOST_BYTES

@@ -161,7 +161,7 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
         work(backlog)
 
     monkeypatch.setattr(WriteRetryQueue, "work", freed)
-    assert line.run(archive=disk, mono_s=Seconds(100.0))  # each look is late enough for another try
+    assert line.run(archive=disk, mono_s=Seconds(100.0))  # each poll is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
 
@@ -488,7 +488,7 @@ def failing_at(*keys):
 
 
 def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
-    for index in (0, 1):  # nothing is proven by the next start either
+    for index in (0, 1):  # the next start has no proof, either
         line.script = failing_at(ShotKey(position="C", set_index=index, shot_index=2))
         message = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
         with pytest.raises(RigError, match=message):

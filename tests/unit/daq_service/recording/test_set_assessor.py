@@ -152,7 +152,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
     stopped.folder.mkdir()
     script = renewing_script(stopped)
-    for set_index in (17, 20, 32, 34):  # before, while and after the successor is learnt
+    for set_index in (17, 20, 32, 34):  # before, during and after the collection of the new baseline
         run_until(stopped, "D", set_index, script)
     stopped.script = script
     stopped.run()
@@ -211,7 +211,7 @@ def test_a_restart_restores_an_old_active_alarm(line, monkeypatch):
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
         alarms={"k": 2, "n": 3},
     )
-    # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
+    # Two consecutive outliers raise it; one in three neither clears nor raises it.
     line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
     line.run()
     known, _ = restored_state(line, monkeypatch, (4, None))

@@ -105,7 +105,7 @@ def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(make_bench
     assert bench.run(300.0) == []
     (line,) = bench.told("held_back")
     assert line.event_ids == [1, 2]
-    bench.alarms.change()  # it is back, and stays
+    bench.alarms.change()  # it is active again, and stays
     assert bench.run(59.0) == []
     assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "back")]]
 
@@ -266,7 +266,7 @@ def test_a_full_disk_does_not_prevent_notifications(make_bench, monkeypatch, cap
     assert caplog.text.count("a crash would repeat messages") == 1
 
 
-# A receiver that does not take it
+# A receiver that rejects the message
 
 
 def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(make_bench, caplog):
@@ -337,7 +337,7 @@ def test_pending_messages_of_an_unreachable_receiver_are_bounded_and_not_lost(ma
     assert sorted(event_ids) == list(range(1, 51))
 
 
-# Signs of life
+# Heartbeats
 
 
 def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recorder(make_bench, monkeypatch):

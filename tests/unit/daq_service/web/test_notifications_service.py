@@ -223,7 +223,7 @@ def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_
         first = raise_alarm(filled, "hole")
         assert events_of(receiver.next().message) == [first]
         until(lambda: any(line.what == "sent" for _, line in log.read(limit=10)[0]), "the note of it")
-        receiver.silent.set()  # has taken the next one, and says nothing before the kill
+        receiver.silent.set()  # has received the next one, and does not respond before the kill
         second = raise_alarm(filled, "no_data")
         cut = receiver.next()
         child.kill()

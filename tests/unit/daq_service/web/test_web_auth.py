@@ -95,7 +95,7 @@ def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tok
         read_tokens(tokens)
 
 
-# Coming in
+# Authentication
 
 
 def test_without_tokens_requests_are_accepted_under_their_claimed_name(filled):
@@ -285,7 +285,7 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
     assert entries == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
 
 
-# Others than this machine
+# Other hosts
 
 
 @pytest.fixture

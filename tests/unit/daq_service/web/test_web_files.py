@@ -81,7 +81,7 @@ def test_an_unchanged_response_is_not_sent_again(api, file):
 @pytest.mark.parametrize(
     "name",
     [
-        "set_000009_secret.h5",  # lies there, but is none of the catalogue's
+        "set_000009_secret.h5",  # exists, but is not in the catalogue
         "set_000002_20240101T013000Z.h5",  # has no file yet
         "..%2fcatalogue.sqlite",
         "..%2f..%2f..%2fetc%2fpasswd",

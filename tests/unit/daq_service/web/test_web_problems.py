@@ -281,7 +281,7 @@ def test_acknowledgement_becomes_a_row(api, filled, as_command):
     row = filled.catalogue.command(answer.json()["id"])
     assert row.kind == "acknowledge_alarm"
     assert row.arguments == {"alarm_id": 1, "note": "seen"}
-    # The service writes the order only: the recorder changes the alarm.
+    # The service only stores the command: the recorder changes the alarm.
     assert filled.catalogue.alarm(1).state == "unacknowledged"
 
 

@@ -73,7 +73,7 @@ def test_stop_ends_all_waiting_streams(filled):
             assert connected.acquire(timeout=DEADLINE_S)
         with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B") as socket_:
             assert socket_.recv(timeout=DEADLINE_S)
-            # Uvicorn alone would wait for its clients for ever.
+            # Uvicorn alone would wait for its clients forever.
             service.stop.set()
             service.thread.join(DEADLINE_S)
             assert not service.thread.is_alive()

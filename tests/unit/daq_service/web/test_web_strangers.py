@@ -248,7 +248,7 @@ def test_above_the_connection_limit_the_longest_idle_one_is_closed(filled, monke
         clients = [opened.enter_context(connection_to(service)) for _ in range(4)]
         until(lambda: _closed(clients) == 3, "all but the newest to be closed")
         assert not _closed(clients[-1:])
-        with service.client() as api:  # it makes place, too
+        with service.client() as api:  # it frees its place, too
             until(lambda: api.get("/healthz").status_code == 200, "a place")
 
 

@@ -197,7 +197,7 @@ def test_records_of_noise_are_missed_strikes_and_set_no_width(tmp_path, seed):
     noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
     rows = extracted_records(save_array(tmp_path, noise))
     assert [row["flags"] for row in rows] == [["missed"]] * N
-    noise[:, 5000] += 0.5  # a spike is no wave either
+    noise[:, 5000] += 0.5  # a spike is not a wave
     assert all(row["quality"] == "bad" for row in extracted_records(save_array(tmp_path, noise)))
 
 

@@ -95,7 +95,7 @@ def interrupt_sweep(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -
 
 
 def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
-    # So high a drop has a step of its own: what is prepared for one height may not serve another.
+    # So high a drop has its own time step: preparations for one height may not fit another.
     plan = planned(*MIXED[:2], "chain.drop_height_m=5e-3,1", "chain.tilt_rad=0,0.02")
     table = sweep_table(plan, workers=2)
     assert len(set(table.results["step_s"])) > 1
