@@ -85,8 +85,8 @@ def test_folder_service_and_page_agree(resource, of_folder, of_service, service)
     here, there = TABLES[resource](of_folder), TABLES[resource](of_service)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     with service.client() as http:
-        path, _, asked = resource.partition("?")
-        page = http.get(f"/api/v1/{path}?limit=1000&{asked}").json()
+        path, _, query = resource.partition("?")
+        page = http.get(f"/api/v1/{path}?limit=1000&{query}").json()
     items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
@@ -158,7 +158,7 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("query", "message"),
     [
         (lambda test: test.waveforms("B", 10), "not stored"),
         (lambda test: test.waveforms("X"), "the positions are A, B, C, D"),
@@ -167,10 +167,10 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
         (lambda test: test.assessments(from_h=5, to_h=1), "Let to_h be at least from_h"),
     ],
 )
-def test_an_impossible_request_has_its_reason(asked, message, of_folder, of_service):
+def test_an_impossible_request_has_its_reason(query, message, of_folder, of_service):
     for test in (of_folder, of_service):
         with pytest.raises(client.ClientError, match=message):
-            asked(test)
+            query(test)
 
 
 def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
@@ -191,8 +191,8 @@ def test_events_are_followed_from_the_last_one(way, filled, request):
     first = test.info()["last_event_id"]
     event_id = filled.say("noted", text="one")
     filled.say("noted", text="two")
-    news = test.follow("service", after=first)
-    event = next(news)
+    events = test.follow("service", after=first)
+    event = next(events)
     assert (event.id, event.topic, event.kind) == (event_id, "service", "noted")
     assert event.data["payload"]["text"] == "one"
     again = next(test.follow("service", after=event.id))
@@ -206,11 +206,13 @@ def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
     with served(folder.settings, tmp_path) as first:
         test = client.open(first.url)
         reading = threading.Thread(
-            target=lambda: texts.extend(event.data["payload"]["text"] for event in itertools.islice(news, 3))
+            target=lambda: texts.extend(
+                event.data["payload"]["text"] for event in itertools.islice(events, 3)
+            )
         )
         before = test.info()["last_event_id"]
         assert before > 0
-        news = test.follow("service", after=before)
+        events = test.follow("service", after=before)
         folder.say("noted", text="one")
         reading.start()
         port = int(first.netloc.rpartition(":")[2])

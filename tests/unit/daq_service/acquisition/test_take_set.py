@@ -222,13 +222,13 @@ def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
 
 
 def test_no_repetition_is_requested_after_a_lost_connection():
-    asked = []
+    requested_shots = []
     take(
         [ACQUIRED, LOST],
         {"A": "pulse_echo", "B": "solitary_wave"},
-        wants_restrike=asked.append,
+        wants_restrike=requested_shots.append,
     )
-    assert [shot.key.shot_index for shot in asked] == [1]
+    assert [shot.key.shot_index for shot in requested_shots] == [1]
 
 
 def test_a_transducer_disabled_by_a_command_is_not_struck_again():
@@ -240,10 +240,10 @@ def test_a_transducer_disabled_by_a_command_is_not_struck_again():
 
 
 def test_a_pending_strike_is_dropped_when_its_transducer_is_disabled():
-    allowed, looks = {"B", "C"}, count()
+    allowed, polls = {"B", "C"}, count()
 
     def idle():
-        if next(looks) == 2:  # A's echo, B's first strike, and now its second one waits
+        if next(polls) == 2:  # A's echo, B's first strike, and now its second one waits
             allowed.discard("B")
         return True
 

@@ -164,11 +164,11 @@ def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause: 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
 def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
-    whole = PROOFS.get(kind, PROOFS["supply_limit"])
-    kept = data.draw(st.sets(st.sampled_from(sorted(whole))))
-    sentences = evidence(kind, {name: whole[name] for name in kept})
-    assert evidence(kind, {name: whole[name] if name in kept else None for name in whole}) == sentences
-    assert len(sentences) <= len(evidence(kind, whole))
+    complete = PROOFS.get(kind, PROOFS["supply_limit"])
+    kept = data.draw(st.sets(st.sampled_from(sorted(complete))))
+    sentences = evidence(kind, {name: complete[name] for name in kept})
+    assert evidence(kind, {name: complete[name] if name in kept else None for name in complete}) == sentences
+    assert len(sentences) <= len(evidence(kind, complete))
     assert "None" not in "".join(sentences)
 
 

@@ -39,12 +39,12 @@ def test_a_number_without_json_representation_is_restored(odd):
 def test_a_flipped_bit_costs_one_frame_at_most():
     """The intact frames are exactly the written ones; a frame at another offset is invalid."""
     step = 13  # every byte would take half a minute; this meets every field of header, facts and counts
-    for place in range(0, len(SEGMENT), step):
+    for position in range(0, len(SEGMENT), step):
         content = bytearray(SEGMENT)
-        content[place] ^= 1 << place % 8
+        content[position] ^= 1 << position % 8
         found = sound(bytes(content))
-        assert found.items() <= ALL.items(), place
-        assert len(found) >= len(ALL) - 1, place
+        assert found.items() <= ALL.items(), position
+        assert len(found) >= len(ALL) - 1, position
 
 
 def test_a_segment_cut_anywhere_keeps_what_came_before():

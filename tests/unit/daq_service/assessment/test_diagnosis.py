@@ -207,14 +207,14 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
 
 def test_a_restart_continues_from_the_stored_diagnosis_state():
     change = CHANGES[WALL]
-    state, whole = run(change)
+    state, uninterrupted = run(change)
     before = State()
     for item in sets(change)[: LAST + 20]:
         before, _ = step(before, item, RULES)
     kept = json.loads(json.dumps(averages_of(before.diagnosis_state)))
     again = replace(before, diagnosis_state=restored_diagnosis_state(kept))
     resumed, assessment = run(change, state=again, since=LAST + 20)
-    assert assessment.cause == whole.cause
+    assert assessment.cause == uninterrupted.cause
     assert resumed.diagnosis_state == state.diagnosis_state
     assert restored_diagnosis_state({"average": [0.0]}) is None
     # An earlier version did not store whether the last set had a wall diagnosis.

@@ -44,7 +44,7 @@ def assessment_row(outlier):
 
 
 @pytest.mark.parametrize(
-    ("last_set", "assessment", "alarms", "word"),
+    ("last_set", "assessment", "alarms", "status"),
     [
         (None, None, [], "no_data"),
         # It was enabled after this set: its alarms determine the present status.
@@ -72,12 +72,12 @@ def assessment_row(outlier):
         (ECHO_SET, None, [], "normal"),
     ],
 )
-def test_a_position_has_the_expected_status(last_set, assessment, alarms, word):
+def test_a_position_has_the_expected_status(last_set, assessment, alarms, status):
     method = SET.method if last_set is None else last_set.method
     last = LastWord(
         position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms
     )
-    assert status_of(last) == word
+    assert status_of(last) == status
 
 
 def test_interval_follows_the_phases():

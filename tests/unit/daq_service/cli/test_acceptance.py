@@ -358,11 +358,11 @@ def number(value, **changes):
     ],
 )
 def test_a_limit_applies_to_the_whole_interval(found, state):
-    asked = Criterion(quantity="x", sense="at most", limit=1.0)
-    assert [item.state for item in compared([asked], {"x": found})] == [state]
+    criterion = Criterion(quantity="x", sense="at most", limit=1.0)
+    assert [item.state for item in compared([criterion], {"x": found})] == [state]
     value, low, high = (None if end is None else -end for end in (found.value, found.high, found.low))
     mirrored = replace(found, value=value, low=low, high=high)
-    below = replace(asked, sense="at least", limit=-1.0)
+    below = replace(criterion, sense="at least", limit=-1.0)
     assert [item.state for item in compared([below], {"x": mirrored})] == [state]
 
 

@@ -183,12 +183,14 @@ def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder
         assert np.ptp(records[2]) > 0
 
 
-@pytest.mark.parametrize("place", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"])
-def test_an_invalid_export_is_rejected_with_code_2(folder, tmp_path, place):
+@pytest.mark.parametrize(
+    "target_kind", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"]
+)
+def test_an_invalid_export_is_rejected_with_code_2(folder, tmp_path, target_kind):
     (tmp_path / "empty").mkdir()
-    source, target = folder, folder / place
-    if place in ("nowhere", "empty"):
-        source, target = tmp_path / place, tmp_path / "all.h5"
+    source, target = folder, folder / target_kind
+    if target_kind in ("nowhere", "empty"):
+        source, target = tmp_path / target_kind, tmp_path / "all.h5"
     before = sorted(path.name for path in tmp_path.rglob("*"))
     code, answer = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
     assert code == 2, answer

@@ -77,9 +77,9 @@ def test_a_permitted_command_is_executed(kind: str) -> None:
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("word", ["finished", "stopped"])
 def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, word: str) -> None:
-    given = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = given.forbidden(facts(**OPEN, recorder=word))
-    if isinstance(given, DeskOrder):
+    command = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = command.forbidden(facts(**OPEN, recorder=word))
+    if isinstance(command, DeskOrder):
         assert refusal is None
     else:
         assert refusal is not None
@@ -88,9 +88,9 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, wor
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
-    given = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = given.forbidden(facts(**OPEN, recorder="silent", recorded=False))
-    assert (refusal is None) == isinstance(given, DeskOrder)
+    command = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = command.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    assert (refusal is None) == isinstance(command, DeskOrder)
     if refusal is not None:
         assert refusal.detail == "Nobody records this test: nobody would carry this out."
 

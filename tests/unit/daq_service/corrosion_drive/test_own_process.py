@@ -442,9 +442,13 @@ def test_a_command_ends_with_its_boot(bench: Bench, monkeypatch: pytest.MonkeyPa
 def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
     state = '{"charge": {"coulomb": 1.5, "unknown_s": 0.0}, "tripped": "hole", "unwatched": true, '
     state += '"output_on": %s, "booked_utc_ns": 5}'
-    rest = '"output": "off", "age_s": 1.0, "utc_ns": 1, "boot_ns": 1, "boot_id": "b", "heard_boot_ns": 1'
+    stored_fields = (
+        '"output": "off", "age_s": 1.0, "utc_ns": 1, "boot_ns": 1, "boot_id": "b", "heard_boot_ns": 1'
+    )
     for output_on, command in (("true", Command()), ("false", None), ("null", None)):
-        (tmp_path / DRIVE_FILE).write_text(f'{{"state": {state % output_on}, {rest}}}', encoding="utf-8")
+        (tmp_path / DRIVE_FILE).write_text(
+            f'{{"state": {state % output_on}, {stored_fields}}}', encoding="utf-8"
+        )
         kept = read_kept(tmp_path)
         assert kept is not None
         assert kept.state.command == command

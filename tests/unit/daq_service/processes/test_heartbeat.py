@@ -207,9 +207,9 @@ def test_a_read_during_a_write_is_repeated(tmp_path: Path, monkeypatch: pytest.M
     torn = {new[:size] + old[size:] for size in range(len(new))} - {old, new}
     assert len(torn) > 10
     for mixture in torn:
-        looks = [mixture, new]
+        reads = [mixture, new]
         monkeypatch.setattr(
-            "daq_service.processes.heartbeat.read_hint", lambda path, looks=looks: looks.pop(0)
+            "daq_service.processes.heartbeat.read_hint", lambda path, reads=reads: reads.pop(0)
         )
         beat = read_heartbeat(tmp_path)
         assert beat is not None

@@ -122,10 +122,10 @@ def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch: pyte
 
 def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) -> None:
     def leave() -> None:
-        gone = tmp_path / "gone"
-        gone.mkdir()
-        os.chdir(gone)
-        gone.rmdir()
+        missing_folder = tmp_path / "gone"
+        missing_folder.mkdir()
+        os.chdir(missing_folder)
+        missing_folder.rmdir()
 
     done = run_python("print(os.getcwd())", leave)
     assert (done.returncode, done.stdout) == (0, "/\n")

@@ -119,13 +119,13 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
 def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
     kinds: list[str], word: Word, listens: bool
 ) -> None:
-    left = beat(1.0, stage="ended")
-    state = recorder_state(left, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    last_beat = beat(1.0, stage="ended")
+    state = recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.word, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
     late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
-    gone = recorder_state(left, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
+    gone = recorder_state(last_beat, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
     assert [(item.word, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
@@ -193,13 +193,15 @@ def foreign() -> str:
 
 
 @pytest.mark.parametrize(
-    "left",
+    "last_beat",
     [after_a_reboot, after_a_reboot_of_an_older_version, after_a_short_boot, empty, torn, foreign],
 )
-def test_status_commands_and_web_agree_that_no_recorder_runs(folder: Path, left: Callable[[], str]) -> None:
-    if left is after_a_short_boot and boot_name() is None:
+def test_status_commands_and_web_agree_that_no_recorder_runs(
+    folder: Path, last_beat: Callable[[], str]
+) -> None:
+    if last_beat is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
-    (folder / FILE_NAME).write_text(left(), encoding="utf-8")
+    (folder / FILE_NAME).write_text(last_beat(), encoding="utf-8")
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):

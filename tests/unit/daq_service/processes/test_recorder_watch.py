@@ -119,11 +119,11 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
     assert row.raised_h == pytest.approx(2.1 + MOST_INTERVALS * INTERVAL_H, abs=2.0 * LOOK_EVERY_H)
 
 
-@pytest.mark.parametrize("word", ["silent", "stopped", "absent"])
-def test_a_recorder_that_does_not_run_is_detected(bench: Bench, word: Word) -> None:
+@pytest.mark.parametrize("state", ["silent", "stopped", "absent"])
+def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: Word) -> None:
     bench.hour = 2.1
     bench.store()
-    bench.word = word
+    bench.word = state
     bench.run(1.5)
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 

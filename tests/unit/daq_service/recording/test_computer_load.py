@@ -46,10 +46,10 @@ def test_files_that_are_opened_are_counted(tmp_path):
 def test_memory_that_is_written_is_counted():
     n_bytes = 64 * 2**20
     before = own_use.resident_bytes()
-    held = np.ones(n_bytes, dtype=np.uint8)
+    array = np.ones(n_bytes, dtype=np.uint8)
     # Freed pages of what was there may be used again: never so many.
     assert own_use.resident_bytes() - before > n_bytes // 2
-    assert held.any()
+    assert array.any()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows is asked in another way")
@@ -66,21 +66,21 @@ def test_values_not_provided_by_the_system_are_none(tmp_path, monkeypatch):
 
 
 def test_stage_times_count_since_the_previous_reading():
-    cost, its = Cost(), watch()
+    cost, watched = Cost(), watch()
     cost.seconds["judge_s"] = 1.5
-    assert its.read(cost)["stage_s"]["judge_s"] == 1.5
+    assert watched.read(cost)["stage_s"]["judge_s"] == 1.5
     cost.seconds["judge_s"] = 1.75
-    reading = its.read(cost)
+    reading = watched.read(cost)
     assert (reading["stage_s"]["judge_s"], reading["stage_s"]["fsync_s"]) == (0.25, 0.0)
     assert (reading["free_bytes"], reading["total_bytes"], reading["files_read"]) == (3, 4, 7)
 
 
 def test_a_step_of_the_computer_s_clock_is_how_far_it_is_ahead_from_then_on():
     machine = Machine(NOW_NS)
-    its = watch(machine.clock(None), system_ns=lambda: machine.utc_ns)
-    assert its.read(Cost())["clock_ahead_s"] == 0.0
+    watched = watch(machine.clock(None), system_ns=lambda: machine.utc_ns)
+    assert watched.read(Cost())["clock_ahead_s"] == 0.0
     machine.set_clock(1.0)
-    assert its.read(Cost())["clock_ahead_s"] == 3600.0
+    assert watched.read(Cost())["clock_ahead_s"] == 3600.0
 
 
 def test_each_taken_set_has_one_reading_and_a_missed_one_has_none(tmp_path):

@@ -117,8 +117,10 @@ def test_the_evidence_of_the_alarm_has_the_confirmation_result(undisturbed):
 
 
 def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(undisturbed):
-    asked = [row.payload["because"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"]
-    assert asked == [STEP, ALARM]
+    requests = [
+        row.payload["because"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"
+    ]
+    assert requests == [STEP, ALARM]
 
 
 def test_a_single_odd_set_is_not_confirmed(line):
@@ -161,9 +163,9 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     send_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
     line.run()
     assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
-    asked = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
-    assert [payload["author"] for payload in asked] == ["", "Ada"]
-    assert asked[1]["because"] == "what is it?"
+    requests = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
+    assert [payload["author"] for payload in requests] == ["", "Ada"]
+    assert requests[1]["because"] == "what is it?"
 
 
 @pytest.mark.parametrize(

@@ -535,7 +535,7 @@ def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
 def stop_in_set(line, key, **options):
     """Run with a journal until a stop or a kill after a shot."""
     archive, stop = MemoryArchive(line.shelf), threading.Event()
-    line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
+    line.script = lambda key_of_shot: (stop.set() if key_of_shot == key else None, healthy(key_of_shot))[1]
     assert not line.run(stop=stop, archive=archive, **options)
     line.script = healthy
     return MemoryArchive(line.shelf)
@@ -651,10 +651,10 @@ def send_at(line, key, kind, **arguments):
     """Send a command while a shot is read; it is received before the next strike."""
     line.listen_every_s = 0.0
 
-    def script(asked):
-        if asked == key:
+    def script(key_of_shot):
+        if key_of_shot == key:
             line.order(kind, **arguments)
-        return healthy(asked)
+        return healthy(key_of_shot)
 
     line.script = script
 

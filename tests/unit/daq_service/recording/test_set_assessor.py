@@ -434,14 +434,14 @@ def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
         return silent() if key.position == "C" and key.set_index >= 5 else healthy(key)
 
     line.script = hole_at_c_and_nothing_once_at_d
-    news = []
+    reports = []
 
     def report(event, **values):
         if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
-            news.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
+            reports.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
 
     line.run(tell=report)
-    gap, alarm = news
+    gap, alarm = reports
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])
     assert gap[1]["cause"] == line.rows("sets", "D")[3].cause

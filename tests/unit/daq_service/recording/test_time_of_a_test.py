@@ -300,10 +300,10 @@ def test_a_clock_step_within_a_set_moves_no_strike(laboratory):
     key = ShotKey(position="C", set_index=3, shot_index=2)
     times_h = iter([1.0, -2.0, 400.0])
 
-    def script(asked):
-        if asked == key:
+    def script(key_of_shot):
+        if key_of_shot == key:
             laboratory.machine.set_clock(next(times_h, 0.0))
-        return healthy(asked)
+        return healthy(key_of_shot)
 
     laboratory.line.script = script
     assert laboratory.run()

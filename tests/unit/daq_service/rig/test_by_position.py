@@ -52,8 +52,8 @@ def calls() -> list[str]:
 
 @pytest.mark.parametrize("gone", ["one", "other", "both"])
 def test_every_striker_is_made_safe_once_even_if_another_fails(calls: list[str], gone: str) -> None:
-    one, other = (InstrumentDouble(name, calls, gone=gone in (name, "both")) for name in ("one", "other"))
-    strikers = Strikers({"B": one, "C": other, "D": one}, Asking())
+    first, second = (InstrumentDouble(name, calls, gone=gone in (name, "both")) for name in ("one", "other"))
+    strikers = Strikers({"B": first, "C": second, "D": first}, Asking())
     with pytest.raises(ConnectionLostError):
         strikers.make_safe()
     assert sorted(calls) == ["one safe", "other safe"]

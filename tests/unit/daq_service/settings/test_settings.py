@@ -93,8 +93,8 @@ def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, fr
     path = write(tmp_path, text)
     with pytest.raises(UsageError) as refusal:
         load_settings(path)
-    for word in [str(path), *fragments]:
-        assert word in str(refusal.value)
+    for fragment in [str(path), *fragments]:
+        assert fragment in str(refusal.value)
     assert refusal.value.exit_code == 2
 
 
@@ -156,13 +156,16 @@ def test_without_a_holdoff_a_rig_has_the_hash_it_had_before_there_was_one() -> N
         rig = {"kind": "daqmx", "daqmx": {**boards, **changes}}
         return Settings(rig=rig, positions={"B": {"method": "solitary_wave"}}, clock={"kind": "wall"})
 
-    without, held = settings_with(), settings_with(holdoff_s=10e-3)
+    without, with_holdoff = settings_with(), settings_with(holdoff_s=10e-3)
     measured = without.measured()["rig"]["daqmx"]
     assert "pulse_s" in measured
     assert not {"holdoff_s", "ringing_s"} & set(measured)
-    assert held.measured()["rig"]["daqmx"] == {**measured, "holdoff_s": 10e-3}
-    assert held.configuration_hash() != without.configuration_hash()
-    assert settings_with(holdoff_s=10e-3, ringing_s=5e-3).configuration_hash() == held.configuration_hash()
+    assert with_holdoff.measured()["rig"]["daqmx"] == {**measured, "holdoff_s": 10e-3}
+    assert with_holdoff.configuration_hash() != without.configuration_hash()
+    assert (
+        settings_with(holdoff_s=10e-3, ringing_s=5e-3).configuration_hash()
+        == with_holdoff.configuration_hash()
+    )
 
 
 @pytest.mark.parametrize("position", ["Z", "A"])

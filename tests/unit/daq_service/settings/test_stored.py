@@ -27,8 +27,8 @@ def test_a_stored_configuration_of_this_version_has_no_differences() -> None:
 def test_a_key_that_came_later_counts_with_its_default() -> None:
     before = stored_configuration()
     del before["quality"], before["plate"]["contact"]
-    for place in before["positions"].values():
-        del place["plate"]["contact"]
+    for position in before["positions"].values():
+        del position["plate"]["contact"]
     assert differences(before, NOW) == []
     assert differences(before, Settings(plate={"contact": "patch"})) == [
         'plate.contact began with "node", is "patch" now'
@@ -119,10 +119,10 @@ def test_a_renamed_key_is_read_under_its_name_of_today(
 ) -> None:
     monkeypatch.setattr(stored, "RENAMED", {"positions.*.plate.touch": today})
     before = stored_configuration()
-    for place in before["positions"].values():
-        place["plate"]["touch"] = place["plate"].pop("contact")
+    for position in before["positions"].values():
+        position["plate"]["touch"] = position["plate"].pop("contact")
     moved = renamed(before)
-    assert all(place["plate"].get("contact") == measured for place in moved["positions"].values())
+    assert all(position["plate"].get("contact") == measured for position in moved["positions"].values())
     assert differences(before, NOW) == []
 
 

@@ -84,9 +84,9 @@ def selectors(expression):
 
 def check(expression, label_sets):
     """Return the possible labels of the result."""
-    asked = list(selectors(expression))
-    assert asked, expression
-    for name, matchers, _ in asked:
+    queried = list(selectors(expression))
+    assert queried, expression
+    for name, matchers, _ in queried:
         assert name in label_sets, f"{name} is not told"
         for label, sign, value in matchers:
             if label in OF_PROMETHEUS or (label, value) == (OF_SEVERAL, "$test"):
@@ -99,18 +99,18 @@ def check(expression, label_sets):
     groups = {
         label.strip() for found in GROUPING.finditer(expression) for label in found["labels"].split(",")
     }
-    common = set.intersection(*({*labels} for name, _, _ in asked for labels in label_sets[name]))
+    common = set.intersection(*({*labels} for name, _, _ in queried for labels in label_sets[name]))
     assert groups - {OF_SEVERAL} <= common, f"{groups - common} is no label there"
     is_summed = re.search(r"\bsum\b", expression)
-    return (groups if is_summed else common | OF_PROMETHEUS), asked
+    return (groups if is_summed else common | OF_PROMETHEUS), queried
 
 
 @pytest.mark.parametrize(("title", "expression", "legend"), TARGETS)
 def test_every_query_of_the_dashboard_finds_its_metrics_and_labels(title, expression, legend, label_sets):
-    labels, asked = check(expression, label_sets)
+    labels, queried = check(expression, label_sets)
     assert set(re.findall(r"\{\{(\w+)\}\}", legend)) <= labels | {OF_SEVERAL}, f"the legend of {title!r}"
     tests = {labels[OF_SEVERAL] for labels in label_sets["solimon_has_data"] if OF_SEVERAL in labels}
-    for name, matchers, _ in asked:
+    for name, matchers, _ in queried:
         chosen = (OF_SEVERAL, "=~", "$test") in matchers
         assert chosen is not name.startswith(OF_THE_SERVICE), f"{title!r} shows the tests that are chosen"
         if chosen:  # "All" is ".*", which in Prometheus also finds what has no such label

@@ -36,5 +36,5 @@ ROW = AlarmRow(
 def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:
     row = replace(ROW, suppressed=suppressed)
     event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
-    news = news_of(event)
-    assert (news.what if news else None) == what
+    notification = news_of(event)
+    assert (notification.what if notification else None) == what

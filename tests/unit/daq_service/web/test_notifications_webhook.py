@@ -223,8 +223,8 @@ def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
 def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, caplog):
     pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
-    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{own}", pool)
+    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{attribute}", pool)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
@@ -261,8 +261,8 @@ def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
 def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatch, tmp_path):
     pool = ThreadPoolExecutor()
-    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{own}", pool)
+    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{attribute}", pool)
     (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")

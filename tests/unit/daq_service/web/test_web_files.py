@@ -48,11 +48,11 @@ def test_a_file_is_the_one_on_the_disk_as_the_catalogue_names_it(api, file):
 
 
 @pytest.mark.parametrize(
-    ("asked", "part"),
+    ("range_header", "part"),
     [("0-7", slice(0, 8)), ("100-", slice(100, None)), ("-64", slice(-64, None)), ("5-5", slice(5, 6))],
 )
-def test_a_range_has_exact_bytes_also_with_gzip(api, file, asked, part):
-    headers = {"Range": f"bytes={asked}", "Accept-Encoding": "gzip"}
+def test_a_range_has_exact_bytes_also_with_gzip(api, file, range_header, part):
+    headers = {"Range": f"bytes={range_header}", "Accept-Encoding": "gzip"}
     answer = api.get(f"/api/v1/files/{file.name}", headers=headers)
     content = file.read_bytes()
     assert (answer.status_code, answer.content) == (206, content[part])
@@ -62,10 +62,10 @@ def test_a_range_has_exact_bytes_also_with_gzip(api, file, asked, part):
 
 
 @pytest.mark.parametrize(
-    "asked", ["bytes=9999999-", "bytes=7-3", "bytes=-0", "bytes=x", "lines=1-2", "bytes=0-1,5-6"]
+    "range_header", ["bytes=9999999-", "bytes=7-3", "bytes=-0", "bytes=x", "lines=1-2", "bytes=0-1,5-6"]
 )
-def test_an_invalid_range_is_a_problem(api, file, asked):
-    answer = api.get(f"/api/v1/files/{file.name}", headers={"Range": asked})
+def test_an_invalid_range_is_a_problem(api, file, range_header):
+    answer = api.get(f"/api/v1/files/{file.name}", headers={"Range": range_header})
     assert (answer.status_code, answer.headers["content-type"]) == (416, "application/problem+json")
 
 

@@ -192,10 +192,10 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                 assert len(drawn) == len(table) == N_SETS
                 values = np.log(table[name]) if name == "distance_squared" else table[name]
                 for along, expected in ((0, table["due_h"]), (1, values)):
-                    places = [point[along] for point in drawn]
-                    slope, offset = np.polyfit(expected, places, 1)
+                    coordinates = [point[along] for point in drawn]
+                    slope, offset = np.polyfit(expected, coordinates, 1)
                     # SVG has six decimals of a point.
-                    np.testing.assert_allclose(slope * expected + offset, places, rtol=0, atol=1e-4)
+                    np.testing.assert_allclose(slope * expected + offset, coordinates, rtol=0, atol=1e-4)
                     assert (slope > 0) == (along == 0), "down is up"
 
 

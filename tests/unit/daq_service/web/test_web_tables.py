@@ -71,11 +71,11 @@ def small_pages(monkeypatch):
     monkeypatch.setattr(choice, "PAGE_ROWS", 50)
 
 
-def listed(api, table, **asked):
+def listed(api, table, **query):
     """Return the rows as the page gets them, without their age, nested values as JSON text."""
     resource, fixed = LISTED.get(table, (table, {}))
     most = {} if table == "baselines" else {"limit": 1000}  # there are few: they come without pages
-    rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **asked}).raise_for_status().json()
+    rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **query}).raise_for_status().json()
     nested = (dict, list)
     return [
         {
@@ -87,8 +87,8 @@ def listed(api, table, **asked):
     ]
 
 
-def exported(api, table, form, **asked):
-    answer = api.get(f"/api/v1/tables/{table}", params={"format": form, **asked})
+def exported(api, table, form, **query):
+    answer = api.get(f"/api/v1/tables/{table}", params={"format": form, **query})
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"].partition(";")[0] == FORMATS[form].media_type
     return answer.content
@@ -176,10 +176,10 @@ def test_every_table_is_the_listing_in_every_format(api, table):
 
 
 def test_a_selection_has_its_columns_and_their_keys(api):
-    asked = {"position": "B", "from_h": 5.0, "to_h": 10.0}
-    rows = listed(api, "features", **asked)
+    query = {"position": "B", "from_h": 5.0, "to_h": 10.0}
+    rows = listed(api, "features", **query)
     assert len(rows) == 10
-    csv = pd.read_csv(io.BytesIO(exported(api, "features", "csv", fields="tof_pp_s,noise_rms_v", **asked)))
+    csv = pd.read_csv(io.BytesIO(exported(api, "features", "csv", fields="tof_pp_s,noise_rms_v", **query)))
     assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
     assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
     assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
@@ -250,7 +250,7 @@ def test_the_header_accept_chooses_the_format(api):
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "message"),
+    ("query", "status", "message"),
     [
         ("nothing", 404, "The tables are sets, features"),
         ("features?position=X", 404, "The positions are"),
@@ -262,8 +262,8 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?format=xlsx", 422, "csv"),
     ],
 )
-def test_an_impossible_export_is_rejected_with_its_reason(api, asked, status, message):
-    answer = api.get(f"/api/v1/tables/{asked}")
+def test_an_impossible_export_is_rejected_with_its_reason(api, query, status, message):
+    answer = api.get(f"/api/v1/tables/{query}")
     assert answer.status_code == status
     assert message in answer.text
 

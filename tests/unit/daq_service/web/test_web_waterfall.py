@@ -106,9 +106,9 @@ def test_few_rows_hold_several_sets_and_lose_no_extreme(api, filled):
     assert (header["row_sets"], header["first_set"], header["last_set"]) == (4, [0, 6, 8], [3, 7, 8])
     assert header["n_sets"] == [4, 2, 1]
     for row, sets in enumerate([range(4), (6, 7), (8,)]):
-        its = [fine["first_set"].index(index) for index in sets]
-        np.testing.assert_array_equal(planes[0, row], fine_planes[0, its].min(axis=0))
-        np.testing.assert_array_equal(planes[1, row], fine_planes[1, its].max(axis=0))
+        fine_rows = [fine["first_set"].index(index) for index in sets]
+        np.testing.assert_array_equal(planes[0, row], fine_planes[0, fine_rows].min(axis=0))
+        np.testing.assert_array_equal(planes[1, row], fine_planes[1, fine_rows].max(axis=0))
 
 
 def test_a_range_of_hours_is_half_open(api, filled):
@@ -169,7 +169,7 @@ def test_an_unchanged_response_is_not_sent_again(api):
 
 
 @pytest.mark.parametrize(
-    ("path", "status", "word"),
+    ("path", "status", "message"),
     [
         ("X", 404, "positions are"),
         ("B?align=first_echo", 422, "Choose trigger or isw"),
@@ -185,10 +185,10 @@ def test_an_unchanged_response_is_not_sent_again(api):
         ("B?zoom=3", 422, "zoom"),
     ],
 )
-def test_an_impossible_waterfall_is_rejected_with_a_remedy(api, path, status, word):
+def test_an_impossible_waterfall_is_rejected_with_a_remedy(api, path, status, message):
     answer = api.get(f"/api/v1/waterfall/{path}")
     assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
-    assert word in answer.text
+    assert message in answer.text
 
 
 def test_a_service_that_closes_reads_no_more_records(filled):
@@ -226,8 +226,8 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     try:
         with served(filled.settings, filled.folder) as other, other.client() as client:
             for query, (header, planes) in zip(queries, before, strict=True):
-                its, found = read(client.get(f"/api/v1/waterfall/{query}"))
-                assert its == header
+                actual_header, found = read(client.get(f"/api/v1/waterfall/{query}"))
+                assert actual_header == header
                 np.testing.assert_array_equal(found, planes)
     finally:
         shutil.rmtree(sets)
