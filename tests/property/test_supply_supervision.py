@@ -20,7 +20,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.corrosion_drive import kept, remote
+from daq_service.corrosion_drive import remote
+from daq_service.corrosion_drive import supply_state as kept
 from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S

@@ -1,4 +1,4 @@
-"""The client: a folder and a service give the same figures, which are those of the API."""
+"""The client returns the same numbers from a folder and a service, which are those of the API."""
 
 import itertools
 import os
@@ -81,26 +81,26 @@ def of_service(service):
 
 
 @pytest.mark.parametrize("resource", TABLES)
-def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, service):
+def test_folder_service_and_page_agree(resource, of_folder, of_service, service):
     here, there = TABLES[resource](of_folder), TABLES[resource](of_service)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     with service.client() as http:
-        path, _, asked = resource.partition("?")
-        page = http.get(f"/api/v1/{path}?limit=1000&{asked}").json()
+        path, _, query = resource.partition("?")
+        page = http.get(f"/api/v1/{path}?limit=1000&{query}").json()
     items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
-        for value, told in zip(here[column], [item[column] for item in items], strict=True):
-            if told is None:
+        for value, expected in zip(here[column], [item[column] for item in items], strict=True):
+            if expected is None:
                 assert value is None or pd.isna(value), column
             elif column.endswith("_utc"):
-                assert value == pd.Timestamp(told), column
+                assert value == pd.Timestamp(expected), column
             else:
-                assert value == told, column
+                assert value == expected, column
     assert set(here) == set(items[0]), "nothing that the page has is missing"
 
 
-def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
+def test_the_baselines_of_a_position_have_their_lifecycle(of_folder, of_service):
     here, there = of_folder.baselines("B"), of_service.baselines("B")
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     assert here["name"].tolist() == ["B-baseline-1", "B-baseline-2"]
@@ -120,7 +120,7 @@ def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
     assert first["created_utc"] == pd.Timestamp("2024-01-01T00:00Z")
 
 
-def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):
+def test_columns_have_units_and_types_also_without_values(of_folder):
     features = of_folder.features("B")
     assert features["ssw_amplitude_v"].isna().all()
     assert features["ssw_amplitude_v"].dtype == np.float64
@@ -158,7 +158,7 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("query", "message"),
     [
         (lambda test: test.waveforms("B", 10), "not stored"),
         (lambda test: test.waveforms("X"), "the positions are A, B, C, D"),
@@ -167,33 +167,33 @@ def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
         (lambda test: test.assessments(from_h=5, to_h=1), "Let to_h be at least from_h"),
     ],
 )
-def test_what_cannot_be_says_why(asked, said, of_folder, of_service):
+def test_an_impossible_request_has_its_reason(query, message, of_folder, of_service):
     for test in (of_folder, of_service):
-        with pytest.raises(client.ClientError, match=said):
-            asked(test)
+        with pytest.raises(client.ClientError, match=message):
+            query(test)
 
 
-def test_an_empty_folder_and_a_silent_address_are_told(tmp_path, service):
+def test_an_empty_folder_and_a_silent_address_raise_errors(tmp_path, service):
     with pytest.raises(StorageError):
         client.open(tmp_path)
     with (
-        client.open("http://127.0.0.1:9") as nobody,  # the discard port: nobody listens
+        client.open("http://127.0.0.1:9") as unreachable,  # the discard port: no server listens
         pytest.raises(client.UnreachableError, match="solimon serve"),
     ):
-        nobody.info()
+        unreachable.info()
     with client.open(service.url + "static/") as elsewhere, pytest.raises(client.RefusedError):
         elsewhere.info()
 
 
 @pytest.mark.parametrize("way", ["of_folder", "of_service"])
-def test_news_is_followed_from_where_one_left(way, filled, request):
+def test_events_are_followed_from_the_last_one(way, filled, request):
     test = request.getfixturevalue(way)
     first = test.info()["last_event_id"]
-    said = filled.say("noted", text="one")
+    event_id = filled.say("noted", text="one")
     filled.say("noted", text="two")
-    news = test.follow("service", after=first)
-    event = next(news)
-    assert (event.id, event.topic, event.kind) == (said, "service", "noted")
+    events = test.follow("service", after=first)
+    event = next(events)
+    assert (event.id, event.topic, event.kind) == (event_id, "service", "noted")
     assert event.data["payload"]["text"] == "one"
     again = next(test.follow("service", after=event.id))
     assert again.data["payload"]["text"] == "two"
@@ -206,15 +206,17 @@ def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
     with served(folder.settings, tmp_path) as first:
         test = client.open(first.url)
         reading = threading.Thread(
-            target=lambda: texts.extend(event.data["payload"]["text"] for event in itertools.islice(news, 3))
+            target=lambda: texts.extend(
+                event.data["payload"]["text"] for event in itertools.islice(events, 3)
+            )
         )
         before = test.info()["last_event_id"]
         assert before > 0
-        news = test.follow("service", after=before)
+        events = test.follow("service", after=before)
         folder.say("noted", text="one")
         reading.start()
         port = int(first.netloc.rpartition(":")[2])
-    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
+    # No service runs: present events are received afterwards, with the recorder's restart.
     folder.close()
     again = FilledFolder(tmp_path, Settings(), begun=True)
     again.say("noted", text="two")
@@ -239,7 +241,7 @@ def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
 
 @pytest.mark.parametrize("of_its_own", [False, True])
 def test_a_folder_is_read_without_a_token_also_where_its_service_asks_for_one(tmp_path, of_its_own):
-    """Whoever may read the files needs nobody's leave."""
+    """A user who may read the files needs no other permission."""
     (data := tmp_path / "data").mkdir()
     tokens = tmp_path / "rig-tokens.json" if of_its_own else data / "tokens.json"
     web = {"tokens_file": str(tokens)} if of_its_own else {}

@@ -1,4 +1,4 @@
-"""No message, header or answer ends a client that follows: what cannot be read is reported and left out."""
+"""No message, header or response ends a client that follows: unreadable ones are reported and left out."""
 
 import itertools
 import json
@@ -83,13 +83,13 @@ STREAM = {"Content-Type": "text/event-stream; charset=utf-8"}
 
 
 @pytest.mark.parametrize("passing", PASSING.values(), ids=PASSING)
-def test_no_answer_that_may_pass_ends_the_stream(passing, monkeypatch, caplog):
+def test_no_temporary_error_ends_the_stream(passing, monkeypatch, caplog):
     monkeypatch.setattr(connection, "RETRY_S", 0.0)
-    asked = []
+    last_event_ids = []
     streams = iter([frame(1), passing, passing, frame(2)])
 
     def answer(request):
-        asked.append(request.headers["Last-Event-ID"])
+        last_event_ids.append(request.headers["Last-Event-ID"])
         given = next(streams)
         if isinstance(given, Exception):
             raise given
@@ -101,7 +101,7 @@ def test_no_answer_that_may_pass_ends_the_stream(passing, monkeypatch, caplog):
     http = httpx.Client(base_url="http://127.0.0.1:1", transport=httpx.MockTransport(answer))
     events = Connection(http).events(0, None)
     assert [event["id"] for event in itertools.islice(events, 2)] == [1, 2]
-    assert asked == ["0", "1", "1", "1"]
+    assert last_event_ids == ["0", "1", "1", "1"]
     assert len([record for record in caplog.records if record.levelno == logging.WARNING]) <= 1, (
         "once, not each time"
     )

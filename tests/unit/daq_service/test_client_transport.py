@@ -1,4 +1,4 @@
-"""The client asks loopback directly, whatever the environment says; elsewhere an error names the variable."""
+"""The client connects to loopback directly, without a proxy; otherwise an error names the variable."""
 
 import threading
 from contextlib import contextmanager
@@ -15,16 +15,16 @@ DEAD_PROXY = "http://127.0.0.1:9"
 
 
 @pytest.fixture(autouse=True)
-def bare(monkeypatch):
-    """No variable of the machine that runs the tests."""
+def without_proxies(monkeypatch):
+    """Remove the proxy variables of the machine that runs the tests."""
     for variable in VARIABLES:
         monkeypatch.delenv(variable, raising=False)
         monkeypatch.delenv(variable.lower(), raising=False)
 
 
 @contextmanager
-def answering(status, body):
-    """A service, or a proxy, that answers everything so; yields its port and the requests."""
+def serve_response(status, body):
+    """Serve the same response to every request; yield the port and the requests."""
     requests = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -60,12 +60,12 @@ def answering(status, body):
     ],
     ids=",".join,
 )
-def test_loopback_is_asked_directly(variables, monkeypatch, tmp_path):
+def test_loopback_is_connected_directly(variables, monkeypatch, tmp_path):
     (tmp_path / "netrc").write_text("default login ann password secret\n")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    with answering(200, b'{"name": "plate 7"}') as (port, requests):
+    with serve_response(200, b'{"name": "plate 7"}') as (port, requests):
         for host in ("127.0.0.1", "localhost"):
             with client.open(f"http://{host}:{port}") as test:
                 assert test.info() == {"name": "plate 7"}
@@ -130,7 +130,7 @@ def test_a_variable_that_cannot_be_used_is_named(address, variable, value, monke
     assert "secret" not in str(refused.value)
 
 
-def test_an_address_that_is_none_is_no_raw_error():
+def test_an_invalid_address_raises_a_client_error():
     with pytest.raises(client.ClientError, match="give an address like"):
         client.open("http://[::1")
 
@@ -138,8 +138,8 @@ def test_an_address_that_is_none_is_no_raw_error():
 @pytest.mark.parametrize(
     ("status", "body"), [(502, b"<h1>Bad Gateway</h1>"), (200, b"<h1>Log in</h1>"), (407, b'["who?"]')]
 )
-def test_what_a_proxy_answers_is_reported_with_its_variable(status, body, monkeypatch):
-    with answering(status, body) as (port, requests):
+def test_a_proxy_response_is_reported_with_the_proxy_variable(status, body, monkeypatch):
+    with serve_response(status, body) as (port, requests):
         monkeypatch.setenv("HTTP_PROXY", f"127.0.0.1:{port}")
         with (
             client.open("http://rig.lab") as test,

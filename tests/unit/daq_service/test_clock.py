@@ -18,7 +18,7 @@ def always() -> bool:
 
 
 class FakeWall:
-    """Wall time that passes only by sleeping."""
+    """Wall time that advances only in sleep."""
 
     def __init__(self) -> None:
         self.now_ns = 5 * NS_PER_S
@@ -85,7 +85,7 @@ def test_finish_now_ends_the_pacing() -> None:
     assert clock.utc_ns() == NS_PER_H
 
 
-def test_a_wait_ends_as_soon_as_idle_says_so() -> None:
+def test_a_wait_ends_as_soon_as_idle_returns_false() -> None:
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=1.0, sleep=wall.sleep, wall_ns=wall)
     assert not clock.wait_until(NS_PER_H, lambda: wall.now_ns < 5.5 * NS_PER_S)
@@ -98,7 +98,7 @@ def test_a_pace_of_zero_is_refused() -> None:
 
 
 class Kernel:
-    """What macOS and Windows answer; ``uuid`` None: no such variable."""
+    """System call results of macOS and Windows; ``uuid`` None: no such variable."""
 
     def __init__(self, uuid: str | None = None, counter: int = 0) -> None:
         self.uuid, self.counter = uuid, counter
@@ -134,7 +134,7 @@ def test_two_processes_agree_on_a_boot_and_two_boots_differ(platform: str, field
 
 
 @pytest.mark.parametrize("platform", ["darwin", "win32"])
-def test_a_kernel_that_names_no_boot_is_taken_at_its_word(platform: str) -> None:
+def test_a_kernel_without_a_boot_name_gives_no_boot(platform: str) -> None:
     assert Kernel().name(platform) is None
 
 

@@ -1,4 +1,4 @@
-"""Files that processes share: who waits for a moment, who goes on without."""
+"""Files that processes share: short waits, and continuation without the file."""
 
 import itertools
 import os
@@ -18,8 +18,8 @@ from daq_service.shared_file import (
 )
 
 
-class Refusing:
-    """Refuses the first calls as Windows does while another process holds the file."""
+class FailingCall:
+    """Callable that fails at first, as Windows does while another process holds the file."""
 
     def __init__(self, call, times, error=None):
         self.call, self.left = call, times
@@ -34,14 +34,14 @@ class Refusing:
 
 def test_a_refusal_is_waited_out_in_growing_pauses():
     pauses = []
-    assert patiently(Refusing(lambda: "done", 10), pause=pauses.append) == "done"
+    assert patiently(FailingCall(lambda: "done", 10), pause=pauses.append) == "done"
     assert len(pauses) == 10
     assert pauses == sorted(pauses)
     assert pauses[-1] == LONGEST_PAUSE_S
 
 
-def test_a_refusal_for_good_is_told():
-    calls = Refusing(lambda: "done", 10**9)
+def test_a_permanent_refusal_is_raised():
+    calls = FailingCall(lambda: "done", 10**9)
     with pytest.raises(PermissionError, match="in use"):
         patiently(calls, patience_s=0.0, pause=lambda seconds: None)
 
@@ -50,13 +50,13 @@ def test_a_refusal_for_good_is_told():
 def test_other_errors_are_not_waited_for(error):
     pauses = []
     with pytest.raises(type(error)):
-        patiently(Refusing(lambda: "done", 1, error), pause=pauses.append)
+        patiently(FailingCall(lambda: "done", 1, error), pause=pauses.append)
     assert pauses == []
 
 
 @pytest.mark.parametrize("call", ["open", "replace", "unlink"])
-def test_what_must_not_fail_waits(tmp_path, monkeypatch, call):
-    monkeypatch.setattr(shared_file.os, call, Refusing(getattr(os, call), 3))
+def test_a_required_call_waits(tmp_path, monkeypatch, call):
+    monkeypatch.setattr(shared_file.os, call, FailingCall(getattr(os, call), 3))
     path = tmp_path / "set.h5"
     if call == "unlink":
         path.write_bytes(b"old")
@@ -71,7 +71,7 @@ def test_what_must_not_fail_waits(tmp_path, monkeypatch, call):
 def test_a_reader_waits_for_what_it_needs_and_not_for_a_hint(tmp_path, monkeypatch):
     path = tmp_path / "picture.bin"
     path.write_bytes(b"picture")
-    refusing = Refusing(Path.read_bytes, 3)
+    refusing = FailingCall(Path.read_bytes, 3)
     monkeypatch.setattr(Path, "read_bytes", lambda self: refusing(self))  # noqa: PLW0108 - a method
     assert read_hint(path) is None
     assert read_shared(path) == b"picture"
@@ -80,11 +80,11 @@ def test_a_reader_waits_for_what_it_needs_and_not_for_a_hint(tmp_path, monkeypat
         read_shared(tmp_path / "absent")
 
 
-def test_a_hint_is_given_up_at_once_and_the_next_one_is_whole(tmp_path, monkeypatch):
+def test_an_optional_write_is_given_up_immediately_and_the_next_one_is_complete(tmp_path, monkeypatch):
     path = tmp_path / "picture.bin"
     assert write_hint(path, b"first") is None
     with monkeypatch.context() as held:
-        held.setattr(shared_file.os, "replace", Refusing(os.replace, 1))
+        held.setattr(shared_file.os, "replace", FailingCall(os.replace, 1))
         assert isinstance(write_hint(path, b"second"), PermissionError)
     assert path.read_bytes() == b"first"
     assert write_hint(path, b"third") is None
@@ -120,6 +120,6 @@ def test_a_refusal_that_lasts_is_logged_once_though_a_later_try_succeeds(
 ):
     seconds = itertools.count(0.0, 0.25)
     monkeypatch.setattr(shared_file.time, "monotonic", lambda: next(seconds))
-    call = Refusing(lambda: "done", n_refusals)
+    call = FailingCall(lambda: "done", n_refusals)
     assert patiently(call, pause=lambda pause_s: None, **options) == "done"
     assert caplog.text.count("refused, tried again") == n_reports

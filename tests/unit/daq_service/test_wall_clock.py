@@ -1,4 +1,4 @@
-"""Time in a real test: it goes on with what elapses, follows a drift, and is moved by no step."""
+"""Time of a real test: it follows the elapsed time and the drift, and no step moves it."""
 
 import ctypes
 import time
@@ -23,7 +23,7 @@ def always() -> bool:
 
 
 @pytest.mark.parametrize("by_h", [1.0, -1.0, 400.0, -140_000.0])
-def test_a_step_moves_nothing_and_is_told_once(machine: Machine, by_h: float) -> None:
+def test_a_clock_step_does_not_move_the_test_time_and_is_reported_once(machine: Machine, by_h: float) -> None:
     clock = machine.clock()
     assert clock.wait_until(NOW_NS + NS_PER_H, always)
     machine.set_clock(by_h)
@@ -41,14 +41,14 @@ def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine: Machi
     clock = machine.clock()
     machine.set_clock(400.0)
     clock.wait_until(NOW_NS + 6 * NS_PER_S, always)
-    machine.utc_ns -= 400 * NS_PER_H - 700_000_000  # back, and 0.7 s beside where it was
+    machine.utc_ns -= 400 * NS_PER_H - 700_000_000  # back, with an offset of 0.7 s
     clock.wait_until(NOW_NS + NS_PER_H, always)
     ahead_s = [step.ahead_s for step in clock.steps()]
     assert ahead_s == [400 * 3600.0, 0.0]
     assert clock.utc_ns() == machine.utc_ns
 
 
-def test_steps_too_small_to_be_told_add_up_to_one_that_is(machine: Machine) -> None:
+def test_small_clock_steps_accumulate_to_a_reported_one(machine: Machine) -> None:
     clock = machine.clock()
     for _ in range(4):
         machine.utc_ns += 400_000_000
@@ -75,13 +75,13 @@ def test_a_drift_is_followed_over_350_h(drift_ppm: int) -> None:
 def test_time_is_never_set_back_by_following(machine: Machine) -> None:
     clock = machine.clock()
     machine.utc_ns -= 900_000_000
-    told_ns = []
+    times_ns = []
     for _ in range(2000):
         machine.sleep(1.0)
-        told_ns.append(clock.utc_ns())
-    slowest_ns = min(after - before for before, after in pairwise(told_ns))
+        times_ns.append(clock.utc_ns())
+    slowest_ns = min(after - before for before, after in pairwise(times_ns))
     assert slowest_ns == 999_500_000
-    assert told_ns[-1] == machine.utc_ns
+    assert times_ns[-1] == machine.utc_ns
     assert clock.steps() == []
 
 
@@ -121,7 +121,7 @@ def test_a_recorder_on_the_same_boot_takes_the_time_up(machine: Machine) -> None
     assert [step.step_s for step in second.steps()] == [-5 * 3600.0]
 
 
-def test_a_step_that_was_told_before_is_not_told_again(machine: Machine) -> None:
+def test_a_reported_clock_step_is_not_reported_again(machine: Machine) -> None:
     line = TimeLine(utc_ns=NOW_NS - NS_PER_H, elapsed_ns=machine.elapsed_ns, ahead_ns=NS_PER_H)
     clock = machine.clock(Before(last_utc_ns=0, line=line))
     assert clock.utc_ns() == NOW_NS - NS_PER_H
@@ -142,38 +142,41 @@ def test_a_step_that_was_told_before_is_not_told_again(machine: Machine) -> None
         (7300.0, True, ""),
     ],
 )
-def test_what_is_doubted_after_a_reboot(gap_h: float, synchronised: bool, doubted: str) -> None:
+def test_a_clock_is_unverified_after_a_long_reboot(gap_h: float, synchronised: bool, doubted: str) -> None:
     reason = Before(last_utc_ns=NOW_NS).doubt(NOW_NS + round(gap_h * NS_PER_H), synchronised=synchronised)
     assert bool(reason) == bool(doubted)
     assert doubted in reason
 
 
-def test_time_stands_still_while_it_is_doubted_and_goes_on_when_the_clock_is_set(machine: Machine) -> None:
+def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
-    told = []
+    observations = []
 
     def idle(reason: str) -> bool:
-        told.append((clock.utc_ns(), clock.line(), reason))
-        if len(told) == 3:
+        observations.append((clock.utc_ns(), clock.line(), reason))
+        if len(observations) == 3:
             machine.utc_ns = NOW_NS + NS_PER_H
         return True
 
     believed = clock.wait_while_doubted(idle)
     assert believed is not None
     assert (believed.ahead_s, believed.experiment_utc_ns) == (0.0, machine.utc_ns)
-    assert [(now_ns, line) for now_ns, line, _ in told] == [(NOW_NS, None)] * 3
-    assert "2010-01-01T00:00:00Z, which is before what was stored last (2026-06-01T12:00:00Z)" in told[0][2]
+    assert [(now_ns, line) for now_ns, line, _ in observations] == [(NOW_NS, None)] * 3
+    assert (
+        "2010-01-01T00:00:00Z, which is before what was stored last (2026-06-01T12:00:00Z)"
+        in observations[0][2]
+    )
     assert clock.utc_ns() == machine.utc_ns
     assert clock.steps() == []
     assert clock.wait_while_doubted(idle) is None, "nothing is doubted any more"
 
 
-def test_a_clock_that_is_trusted_never_goes_back_before_what_is_stored(machine: Machine) -> None:
+def test_a_trusted_clock_never_goes_back_before_stored_times(machine: Machine) -> None:
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
-    said = clock.trust()
-    assert "2010-01-01T00:00:00.000Z; the test goes on at 2026-06-01T12:00:00.000Z" in said
+    answer = clock.trust()
+    assert "2010-01-01T00:00:00.000Z; the test goes on at 2026-06-01T12:00:00.000Z" in answer
     machine.sleep(10.0)
     assert clock.utc_ns() == NOW_NS + 10 * NS_PER_S
     assert clock.steps() == [], "the step was told by the answer"
@@ -191,7 +194,9 @@ def test_a_wait_that_is_ended_leaves_the_doubt(machine: Machine) -> None:
 @pytest.mark.parametrize(
     ("platform", "name"), [("linux", "CLOCK_BOOTTIME"), ("darwin", "CLOCK_MONOTONIC_RAW")]
 )
-def test_what_counts_sleep_is_read(platform: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_clock_that_counts_sleep_is_read(
+    platform: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(time, name, 77, raising=False)
     monkeypatch.setattr(time, "clock_gettime_ns", lambda clock_id: 1000 + clock_id, raising=False)
     assert elapsed_source(platform)() == 1077
@@ -201,11 +206,11 @@ def test_what_counts_sleep_is_read(platform: str, name: str, monkeypatch: pytest
 
 
 @pytest.mark.parametrize(
-    ("answer", "maxerror_us", "told"),
+    ("answer", "maxerror_us", "synchronised"),
     [(0, 1000, True), (5, 1000, True), (5, 16_000_000, False), (-1, 0, False)],
 )
-def test_linux_is_asked_for_the_error_of_its_clock(
-    answer: int, maxerror_us: int, told: bool, monkeypatch: pytest.MonkeyPatch
+def test_on_linux_the_clock_error_is_queried(
+    answer: int, maxerror_us: int, synchronised: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Kernel:
         def __init__(self, name: None) -> None:
@@ -216,7 +221,7 @@ def test_linux_is_asked_for_the_error_of_its_clock(
             return answer
 
     monkeypatch.setattr(ctypes, "CDLL", Kernel)
-    assert is_synchronised("linux") is told
+    assert is_synchronised("linux") is synchronised
     assert not is_synchronised("win32")
     monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
     assert not is_synchronised("linux")

@@ -1,4 +1,4 @@
-"""How a set is taken: its order, what a fault costs, and that what is planned is what is struck."""
+"""Order of the strikes of a set, effects of faults, and agreement with the plan."""
 
 from itertools import count, islice
 
@@ -37,8 +37,8 @@ class Clock:
         return idle()
 
 
-class Deaf:
-    """Striker and digitizer that note each strike and hear nothing."""
+class RecordingInstruments:
+    """Striker and digitizer double that records each strike and returns no data."""
 
     def __init__(self, clock):
         self.clock = clock
@@ -61,10 +61,10 @@ class Deaf:
         self.armed = None
 
 
-def struck(positions, shots_per_set):
-    """Strikes of every set, as `take_set` makes them."""
+def strikes_of_all_sets(positions, shots_per_set):
+    """Return the strikes that `take_set` makes in every set."""
     clock = Clock()
-    deaf = Deaf(clock)
+    deaf = RecordingInstruments(clock)
     rig = Rig(kind="simulated", clock=clock, striker=deaf, digitizer=deaf)
     for due in SETS:
         plan = SetPlan(
@@ -84,7 +84,7 @@ def planned(positions, shots_per_set):
 
 @pytest.mark.parametrize("number", [0, 3, 4, 12, 31])
 def test_the_plan_is_what_take_set_strikes(number):
-    strikes = struck(("B", "C"), 4)
+    strikes = strikes_of_all_sets(("B", "C"), 4)
     assert len(strikes) == len(SETS) * 2 * 4
     assert list(planned(("B", "C"), 4)(*strikes[number])) == strikes[number + 1 :]
 
@@ -102,12 +102,12 @@ def test_a_repetition_is_followed_by_what_its_first_attempt_is_followed_by():
     later_ns = 1_000 * NS_PER_S
     keys = [key for key, _ in plan(first, later_ns)]
     assert [key for key, _ in plan(again, later_ns)] == keys
-    # One interval on from the repetition, not from the first attempt.
+    # One interval after the repetition, not after the first attempt.
     assert next(islice(plan(again, later_ns), 1))[1] == later_ns + round(INTERVAL_S * NS_PER_S)
 
 
-class Scripted(Deaf):
-    """Instruments whose reads go as a list says: a record, or an error to raise."""
+class ScriptedInstruments(RecordingInstruments):
+    """Instrument double whose reads follow a list of records and errors."""
 
     def __init__(self, clock, answers):
         super().__init__(clock)
@@ -115,10 +115,10 @@ class Scripted(Deaf):
         self.calls = []
 
     def _answer(self):
-        told = next(self.answers, ACQUIRED)
-        if isinstance(told, Exception):
-            raise told
-        return told
+        answer = next(self.answers, ACQUIRED)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
     def read(self, timeout_s):
         self.calls.append("read")
@@ -126,8 +126,8 @@ class Scripted(Deaf):
 
     def acquire(self, key, timeout_s):
         self.calls.append(f"echo {key.position}")
-        told = self._answer()
-        return Echo(waveform=told.waveform, gain_db=0.0, offset_v=0.0, averages=1)
+        answer = self._answer()
+        return Echo(waveform=answer.waveform, gain_db=0.0, offset_v=0.0, averages=1)
 
     def make_safe(self):
         self.calls.append("safe")
@@ -145,10 +145,10 @@ SILENCE = AcquisitionTimeoutError("nothing came")
 LOST = ConnectionLostError("the chassis is gone")
 
 
-def taken(answers, positions=None, shots_per_set=2, **hooks):
-    """The measurements of one set, the error that ended it, and the instruments."""
+def take(answers, positions=None, shots_per_set=2, **hooks):
+    """Return the measurements of one set, the error that ended it, and the instruments."""
     clock = Clock()
-    instruments = Scripted(clock, answers)
+    instruments = ScriptedInstruments(clock, answers)
     rig = Rig(
         kind="simulated", clock=clock, striker=instruments, digitizer=instruments, pulse_echo=instruments
     )
@@ -170,8 +170,8 @@ def taken(answers, positions=None, shots_per_set=2, **hooks):
     return found, error, instruments
 
 
-def test_echoes_come_first_then_one_transducer_after_the_other():
-    found, _, _ = taken([])
+def test_echoes_are_taken_before_the_transducers_in_order():
+    found, _, _ = take([])
     assert [(item.key.position, item.key.shot_index) for item in found] == [
         ("A", 0),
         ("B", 0),
@@ -185,7 +185,7 @@ def test_echoes_come_first_then_one_transducer_after_the_other():
 
 
 def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
-    found, error, instruments = taken([ACQUIRED, SILENCE])
+    found, error, instruments = take([ACQUIRED, SILENCE])
     assert error is None
     assert isinstance(found[1], MissedShot)
     assert (found[1].reason, found[1].cause) == ("no_trigger", "nothing came")
@@ -193,23 +193,23 @@ def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
     assert [item.sequence for item in found if not isinstance(item, MissedShot)] == [7, 8, 9, 10]
 
 
-def test_a_connection_lost_three_records_running_ends_the_set():
-    found, error, _ = taken([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
+def test_a_lost_connection_in_three_consecutive_records_ends_the_set():
+    found, error, _ = take([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
     assert error is LOST
     reasons = [item.reason if isinstance(item, MissedShot) else "" for item in found]
     assert reasons == ["", *["connection_lost"] * 2, "", *["connection_lost"] * 3]
 
 
-def test_what_can_never_work_ends_the_set_at_once_and_safely():
+def test_a_permanent_error_ends_the_set_immediately_and_safely():
     wrong = ConfigurationError("no such channel")
-    found, error, instruments = taken([ACQUIRED, ACQUIRED, wrong])
+    found, error, instruments = take([ACQUIRED, ACQUIRED, wrong])
     assert error is wrong
     assert len(found) == 2
     assert instruments.calls[-1] == "safe"
 
 
 def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
-    found, _, _ = taken([], {"B": "solitary_wave"}, wants_restrike=lambda shot: shot.key.attempt < 2)
+    found, _, _ = take([], {"B": "solitary_wave"}, wants_restrike=lambda shot: shot.key.attempt < 2)
     assert [(item.key.shot_index, item.key.attempt) for item in found] == [
         (0, 0),
         (0, 1),
@@ -221,38 +221,38 @@ def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
     assert found[-1].stamp.utc_ns - found[0].stamp.utc_ns == round(5 * INTERVAL_S * NS_PER_S)
 
 
-def test_nobody_is_asked_for_a_repetition_where_the_connection_is_lost():
-    asked = []
-    taken(
+def test_no_repetition_is_requested_after_a_lost_connection():
+    requested_shots = []
+    take(
         [ACQUIRED, LOST],
         {"A": "pulse_echo", "B": "solitary_wave"},
-        wants_restrike=asked.append,
+        wants_restrike=requested_shots.append,
     )
-    assert [shot.key.shot_index for shot in asked] == [1]
+    assert [shot.key.shot_index for shot in requested_shots] == [1]
 
 
-def test_a_transducer_that_an_order_retires_is_struck_no_more():
+def test_a_transducer_disabled_by_a_command_is_not_struck_again():
     allowed = {"B", "C"}
-    found, _, _ = taken(
+    found, _, _ = take(
         [], wants_restrike=lambda shot: allowed.discard("B"), may_strike=lambda position: position in allowed
     )
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 
-def test_a_strike_that_waits_is_not_struck_when_its_transducer_is_retired_meanwhile():
-    allowed, looks = {"B", "C"}, count()
+def test_a_pending_strike_is_dropped_when_its_transducer_is_disabled():
+    allowed, polls = {"B", "C"}, count()
 
     def idle():
-        if next(looks) == 2:  # A's echo, B's first strike, and now its second one waits
+        if next(polls) == 2:  # A's echo, B's first strike, and now its second one waits
             allowed.discard("B")
         return True
 
-    found, _, _ = taken([], idle=idle, may_strike=lambda position: position in allowed)
+    found, _, _ = take([], idle=idle, may_strike=lambda position: position in allowed)
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 
-def test_it_ends_where_it_is_told_to():
+def test_the_set_ends_when_idle_returns_false():
     answers = iter([True, True, True, False])
-    found, error, _ = taken([], idle=lambda: next(answers))
+    found, error, _ = take([], idle=lambda: next(answers))
     assert error is None
     assert [item.key.position for item in found] == ["A", "B", "B"]

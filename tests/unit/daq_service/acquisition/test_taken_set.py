@@ -1,4 +1,4 @@
-"""What a set knows while it is taken: misses, repetitions, why it fell short."""
+"""State of a set during acquisition: missed records, repetitions, and the reason of a shortfall."""
 
 from dataclasses import replace
 
@@ -34,18 +34,22 @@ def taken_set(*measurements, budget=3, **values):
     return taken
 
 
-def test_what_is_kept_goes_where_it_belongs():
+def test_shots_and_missed_records_are_stored_by_position():
     taken = taken_set()
     assert taken.is_empty
     for measurement in (missed("B", 0), make_echo(40), make_shot("B", 0, 41, attempt=1)):
         taken.keep(measurement)
     assert not taken.is_empty
     assert ([shot.sequence for shot in taken.shots], [echo.sequence for echo in taken.echoes]) == ([41], [40])
-    (told,) = taken.missed_records()
-    assert (told.key, told.cause, told.reason) == (key("B", 0), "no trigger within 5 s", "no_trigger")
+    (missed_record,) = taken.missed_records()
+    assert (missed_record.key, missed_record.cause, missed_record.reason) == (
+        key("B", 0),
+        "no trigger within 5 s",
+        "no_trigger",
+    )
 
 
-def test_misses_alone_are_no_record():
+def test_missed_strikes_alone_are_no_record():
     assert taken_set(missed("B", 0)).is_empty
 
 
@@ -54,7 +58,7 @@ def test_a_repeated_shot_is_one_shot():
     assert (taken.n_records("B"), taken.n_records("C"), taken.n_records("D")) == (1, 1, 0)
 
 
-def test_a_granted_repetition_is_counted_for_its_transducer_alone():
+def test_a_repetition_counts_only_for_its_transducer():
     taken = taken_set(budget=1)
     assert taken.wants_restrike(missed("B", 0))
     assert not taken.wants_restrike(missed("B", 1)), "the budget is used up"
@@ -64,14 +68,14 @@ def test_a_granted_repetition_is_counted_for_its_transducer_alone():
 
 
 @pytest.mark.parametrize(("features", "wanted"), [(GOOD, False), (CLIPPED, True)])
-def test_a_record_is_judged_by_its_flags(features, wanted):
+def test_a_restrike_is_requested_according_to_the_quality_flags(features, wanted):
     shot = make_shot("B", 0, 1)
     taken = taken_set(shot)
     taken.features[1] = features
     assert taken.wants_restrike(shot) is wanted
 
 
-def test_a_shot_whose_analysis_fails_is_flagged_and_costs_nothing_else(monkeypatch):
+def test_a_failed_analysis_flags_only_its_shot(monkeypatch):
     def fails(waveform):
         raise ZeroDivisionError("a fault of the analysis")
 
@@ -80,7 +84,7 @@ def test_a_shot_whose_analysis_fails_is_flagged_and_costs_nothing_else(monkeypat
     assert (found.flags, found.valid, found.quality) == (("not_analysed",), False, "bad")
 
 
-def test_a_whole_position_has_no_shortfall():
+def test_a_complete_position_has_no_shortfall():
     taken = taken_set(missed("B", 0), make_shot("B", 0, 1, attempt=1), make_shot("B", 1, 2))
     assert taken.shortfall("B", 2, STOPPED) == ""
 
@@ -95,25 +99,25 @@ def test_a_shortfall_names_what_ended_the_set_and_what_was_missed():
     )
     cut = taken_set(missed("B", 0), trouble=lost)
     assert cut.shortfall("B", 2, STOPPED) == "board 01A2 is gone; 1 missed: no trigger within 5 s"
-    # Its own strikes were all tried before the trouble came.
+    # All its strikes were made before the error.
     assert taken_set(*silence, trouble=lost).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
     assert taken_set(*silence, trouble=lost).shortfall("C", 2, STOPPED) == "board 01A2 is gone"
 
 
-def test_the_same_words_are_not_said_twice():
+def test_a_shortfall_does_not_repeat_the_error_message():
     lost = ConnectionLostError("board 01A2 is gone")
     taken = taken_set(missed("B", 0, cause=str(lost)), trouble=lost)
     assert taken.shortfall("B", 2, STOPPED) == "board 01A2 is gone"
 
 
-def test_trouble_is_told_with_its_class():
+def test_an_instrument_error_has_its_class_name():
     assert taken_set().instrument_error() == ""
     assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).instrument_error() == (
         "BusyError: owned by LabVIEW: slot 3"
     )
 
 
-def test_outcomes_are_found_position_by_position():
+def test_outcomes_are_listed_by_position():
     shots = [
         make_shot("B", 0, 1),
         make_shot("B", 0, 2, attempt=1),

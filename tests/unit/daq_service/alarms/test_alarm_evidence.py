@@ -1,4 +1,4 @@
-"""A proof in an operator's words: units, limit, by how much it is passed; what it lacks is not said."""
+"""Evidence sentences of an alarm: units, limit and ratio to the limit; absent values are left out."""
 
 from typing import Any
 
@@ -70,7 +70,7 @@ CHART: dict[str, Any] = {
 }
 
 
-def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
+def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate() -> None:
     assert evidence("wall_change", CHART) == [
         (
             "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
@@ -82,7 +82,7 @@ def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
         "The set alone has a squared distance of 30 from the baseline (equation 16).",
     ]
     promised = {**CHART, "why_not_guaranteed": None, "rate_guaranteed": True}
-    assert not any("not promised" in said for said in evidence("wall_change", promised))
+    assert not any("not promised" in sentence for sentence in evidence("wall_change", promised))
 
 
 MOST_LISTED: dict[str, str] = {
@@ -116,7 +116,7 @@ MOST_LISTED: dict[str, str] = {
 
 
 @pytest.mark.parametrize("kind", MOST_LISTED)
-def test_each_kind_says_what_it_rests_on(kind: str) -> None:
+def test_each_kind_states_its_evidence(kind: str) -> None:
     assert " ".join(evidence(kind, PROOFS.get(kind, {}))) == " ".join(MOST_LISTED[kind].split())
 
 
@@ -136,7 +136,7 @@ def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
     )
 
 
-def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_name() -> None:
+def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name() -> None:
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
     assert proof_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
@@ -146,7 +146,7 @@ def test_the_last_sentence_says_when_and_by_which_code_and_a_baseline_has_its_na
     assert proof_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 
-def test_a_doubtful_baseline_is_told_with_what_is_compared_with_it() -> None:
+def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
     doubtful = frozen_baseline("C", readiness={"named": named})
     assert proof_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
@@ -155,22 +155,22 @@ def test_a_doubtful_baseline_is_told_with_what_is_compared_with_it() -> None:
     )
 
 
-@pytest.mark.parametrize(("cause", "told"), [("wall", True), ("coupling", False)])
-def test_a_wall_that_is_named_against_its_confirmation_says_that_it_counts(cause: str, told: bool) -> None:
-    said = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
-    last = evidence("wall_change", {"cause": cause, "confirmation": said})[-1]
-    assert ("counts that set" in last) is told
+@pytest.mark.parametrize(("cause", "counts"), [("wall", True), ("coupling", False)])
+def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause: str, counts: bool) -> None:
+    confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
+    last = evidence("wall_change", {"cause": cause, "confirmation": confirmation})[-1]
+    assert ("counts that set" in last) is counts
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
-def test_what_a_proof_lacks_is_not_said(kind: str, data: st.DataObject) -> None:
-    whole = PROOFS.get(kind, PROOFS["supply_limit"])
-    kept = data.draw(st.sets(st.sampled_from(sorted(whole))))
-    said = evidence(kind, {name: whole[name] for name in kept})
-    assert evidence(kind, {name: whole[name] if name in kept else None for name in whole}) == said
-    assert len(said) <= len(evidence(kind, whole))
-    assert "None" not in "".join(said)
+def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
+    complete = PROOFS.get(kind, PROOFS["supply_limit"])
+    kept = data.draw(st.sets(st.sampled_from(sorted(complete))))
+    sentences = evidence(kind, {name: complete[name] for name in kept})
+    assert evidence(kind, {name: complete[name] if name in kept else None for name in complete}) == sentences
+    assert len(sentences) <= len(evidence(kind, complete))
+    assert "None" not in "".join(sentences)
 
 
-def test_the_features_of_the_distance_have_words() -> None:
+def test_the_features_of_the_distance_have_names() -> None:
     assert tuple(FEATURES) == FEATURE_NAMES

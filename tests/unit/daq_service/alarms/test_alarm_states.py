@@ -50,7 +50,7 @@ def test_no_condition_and_no_alarm_is_no_change() -> None:
     assert update(None, condition(False), moment()) is None
 
 
-def test_a_standing_condition_is_told_once() -> None:
+def test_an_active_condition_causes_one_event() -> None:
     assert update(raised(), condition(True), moment(1)) is None
 
 
@@ -75,7 +75,7 @@ def test_an_acknowledged_alarm_ends_with_its_condition() -> None:
     assert change.row.state == "normal"
 
 
-def test_a_condition_that_returns_asks_for_attention_again() -> None:
+def test_a_condition_that_is_active_again_needs_a_new_acknowledgement() -> None:
     cleared = update(raised(), condition(False), moment(1))
     assert cleared is not None
     again = update(cleared.row, condition(True), moment(2))
@@ -83,7 +83,7 @@ def test_a_condition_that_returns_asks_for_attention_again() -> None:
     assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_returned")
 
 
-def test_what_returns_says_what_is_known_now() -> None:
+def test_a_reactivated_alarm_has_the_present_message() -> None:
     cleared = update(raised(proof={"limit": 24.3}, severity="medium"), condition(False), moment(4))
     assert cleared is not None
     back = condition(True, message="WALL (99 %)", known="wall", proof={"limit": 25.0})
@@ -94,7 +94,7 @@ def test_what_returns_says_what_is_known_now() -> None:
 
 
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged"])
-def test_a_standing_alarm_tells_once_what_it_has_turned_out_to_be(state: AlarmState) -> None:
+def test_an_active_alarm_reports_its_diagnosis_once(state: AlarmState) -> None:
     row = replace(raised(proof={"cause": "cannot tell"}), state=state, suppressed="shelved")
     named = condition(True, message="WALL (99 %)", known="wall", proof={"cause": "wall"})
     change = update(row, named, moment(9))
@@ -102,7 +102,7 @@ def test_a_standing_alarm_tells_once_what_it_has_turned_out_to_be(state: AlarmSt
     assert (change.event_kind, change.row.state) == ("alarm_worsened", "unacknowledged")
     assert (change.row.message, change.row.proof["cause"]) == ("WALL (99 %)", "wall")
     assert change.row.suppressed is None, "it was shelved for what was known then"
-    # Neither again, nor where it is unsure again for a while.
+    # No second event, also if the diagnosis is undetermined for a while.
     for later in (named, condition(True), named):
         assert update(change.row, later, moment(10)) is None
     assert update(raised(known="wall"), named, moment(10)) is None, "it was known when it was raised"
@@ -115,11 +115,11 @@ def test_a_closed_alarm_stays_in_the_history() -> None:
     assert change.row.id is None, "a new appearance is a new row"
 
 
-def test_a_hole_does_not_heal() -> None:
+def test_a_hole_alarm_is_latched() -> None:
     assert update(raised(kind="hole"), condition(False, kind="hole", latched=True), moment(1)) is None
 
 
-def test_severity_only_rises_and_asks_for_attention() -> None:
+def test_a_priority_only_rises_and_needs_a_new_acknowledgement() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
     assert update(seen, condition(True, severity="low"), moment(2)) is None
     worse = update(seen, condition(True, severity="critical"), moment(2))
@@ -127,13 +127,13 @@ def test_severity_only_rises_and_asks_for_attention() -> None:
     assert (worse.row.severity, worse.row.state) == ("critical", "unacknowledged")
 
 
-def test_nothing_to_acknowledge_is_said() -> None:
+def test_a_second_acknowledgement_is_rejected() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to acknowledge"):
         acknowledge(seen, "ann", "", moment(2))
 
 
-def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
+def test_a_reset_ends_a_latched_alarm_and_stores_its_author() -> None:
     change = reset(raised(kind="hole"), "ann", "contact put right", moment(6))
     assert change.event_kind == "alarm_reset"
     row = change.row
@@ -145,7 +145,7 @@ def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
     assert (again.event_kind, again.row.id) == ("alarm_raised", None)
 
 
-def test_a_reset_keeps_who_saw_the_alarm_first_and_an_old_note_where_there_is_no_new_one() -> None:
+def test_a_reset_keeps_the_acknowledging_author_and_an_old_note() -> None:
     seen = acknowledge(raised(kind="hole"), "bob", "looked at it", moment(2)).row
     row = reset(seen, "ann", "", moment(6)).row
     assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("bob", moment(2).utc_ns)
@@ -160,7 +160,7 @@ def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
-def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(
+def test_an_alarm_is_active_while_its_condition_is_present_or_unacknowledged(
     history: list[bool],
 ) -> None:
     row: AlarmRow | None = None
@@ -173,25 +173,31 @@ def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_see
         assert (row.state == "unacknowledged") == history[-1]
 
 
-def standing(position: str | None, kind: str, state: AlarmState = "unacknowledged") -> AlarmRow:
+def active_alarm(position: str | None, kind: str, state: AlarmState = "unacknowledged") -> AlarmRow:
     return replace(raised(position=position, kind=kind, message=f"{kind} at {position}"), state=state)
 
 
 @pytest.mark.parametrize("kind", ["hole", "retired"])
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged", "returned_unacknowledged"])
-def test_a_standing_hole_or_retirement_takes_a_transducer_out(kind: str, state: str) -> None:
-    assert retired_positions([standing("B", kind, state)]) == {"B": f"{kind} at B"}
+def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state: str) -> None:
+    assert retired_positions([active_alarm("B", kind, state)]) == {"B": f"{kind} at B"}
 
 
-def test_a_reset_alarm_lets_it_strike_again() -> None:
-    assert retired_positions([standing("B", "hole", "normal"), standing("C", "retired", "normal")]) == {}
+def test_a_reset_alarm_enables_the_transducer() -> None:
+    assert (
+        retired_positions([active_alarm("B", "hole", "normal"), active_alarm("C", "retired", "normal")]) == {}
+    )
 
 
-def test_one_of_two_standing_is_enough() -> None:
-    rows = (standing("B", "hole", "normal"), standing("B", "retired"))
+def test_one_of_two_active_alarms_is_enough() -> None:
+    rows = (active_alarm("B", "hole", "normal"), active_alarm("B", "retired"))
     assert retired_positions(rows) == {"B": "retired at B"}
 
 
-def test_other_alarms_and_those_of_the_service_retire_nobody() -> None:
-    rows = (standing("B", "wall_change"), standing("C", "no_data"), standing(None, "rig_unavailable"))
+def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
+    rows = (
+        active_alarm("B", "wall_change"),
+        active_alarm("C", "no_data"),
+        active_alarm(None, "rig_unavailable"),
+    )
     assert retired_positions(rows) == {}

@@ -1,4 +1,4 @@
-"""The table of what to do: every kind of alarm is in it, and the how-to shows it."""
+"""Operator guidance: every alarm kind has an entry, and the how-to page shows it."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ def test_the_how_to_shows_the_table() -> None:
     assert as_markdown() in HOW_TO.read_text(encoding="utf-8"), as_markdown()
 
 
-def test_every_kind_that_the_code_raises_is_in_it() -> None:
+def test_every_raised_kind_has_guidance() -> None:
     kinds = {CLOCK_DOUBTED, NOT_ASSESSED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
     for room in RAISED_IN:
         for file in (ROOT / "daq_service" / room).glob("*.py"):
@@ -34,7 +34,7 @@ def test_every_kind_that_the_code_raises_is_in_it() -> None:
 
 
 @pytest.mark.parametrize("kind", GUIDANCE)
-def test_each_says_where_to_look_and_who_decides(kind: str) -> None:
+def test_each_guidance_has_checks_and_a_contact(kind: str) -> None:
     one = GUIDANCE[kind]
     assert all([one.says, one.does_not_say, one.call])
     assert one.short.endswith(".")

@@ -1,4 +1,4 @@
-"""Alarms on the shelf and out of service: told apart, told again in time, whatever their condition does."""
+"""Shelved and out-of-service alarms: counted separately and active again after the set time."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def shelved(for_h: float = 8.0) -> AlarmRow:
     return change.row
 
 
-def test_a_shelved_alarm_keeps_its_state_and_says_who_why_and_until_when() -> None:
+def test_a_shelved_alarm_keeps_its_state_and_has_author_reason_and_end() -> None:
     row = shelved()
     assert (row.state, row.suppressed) == ("unacknowledged", "shelved")
     assert (row.suppressed_by, row.suppressed_because) == ("ann", "a known leak")
@@ -61,7 +61,7 @@ def test_a_shelved_alarm_keeps_its_state_and_says_who_why_and_until_when() -> No
     [(9.99, 7.99, False), (10.0, 0.0, True), (2.0, 8.0, True)],
     ids=["before both", "by the test's hours", "in real time, while the test stands still"],
 )
-def test_a_shelf_ends_by_whichever_clock_comes_first(hour: float, wall_h: float, is_over: bool) -> None:
+def test_a_shelf_ends_by_the_earlier_of_two_clocks(hour: float, wall_h: float, is_over: bool) -> None:
     row, wall_ns = shelved(), WALL_NS + round(wall_h * NS_PER_H)
     seen = as_it_stands(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
     assert (seen.suppressed is None) == is_over
@@ -72,7 +72,7 @@ def test_a_shelf_ends_by_whichever_clock_comes_first(hour: float, wall_h: float,
         assert change.row.state == "unacknowledged"
 
 
-def test_conditions_go_on_under_a_shelf_and_the_next_alarm_of_the_kind_stays_on_it() -> None:
+def test_a_shelf_also_holds_the_next_alarm_of_its_kind() -> None:
     seen = acknowledge(shelved(), "ben", "", at(3.0)).row
     over = update(seen, condition(present=False), at(4.0))
     assert over is not None
@@ -83,7 +83,7 @@ def test_conditions_go_on_under_a_shelf_and_the_next_alarm_of_the_kind_stays_on_
     assert again.row.shelved_until_utc_ns == 10 * NS_PER_H
 
 
-def test_what_grows_worse_comes_off_the_shelf_but_stays_out_of_service() -> None:
+def test_a_raised_priority_ends_a_shelf_but_not_out_of_service() -> None:
     worse = condition(severity="high")
     change = update(shelved(), worse, at(3.0))
     assert change is not None
@@ -94,7 +94,7 @@ def test_what_grows_worse_comes_off_the_shelf_but_stays_out_of_service() -> None
     assert (change.row.severity, change.row.suppressed) == ("high", "out_of_service")
 
 
-def test_out_of_service_has_no_end_but_a_person() -> None:
+def test_out_of_service_is_ended_only_by_a_person() -> None:
     out = take_out_of_service(shelved(), "ben", "sensor is being repaired", at(3.0)).row
     assert (out.suppressed, out.shelved_until_utc_ns) == ("out_of_service", None)
     assert as_it_stands(out, utc_ns=10**19, wall_utc_ns=10**19) is out
@@ -103,7 +103,7 @@ def test_out_of_service_has_no_end_but_a_person() -> None:
     assert (back.row.suppressed_by, back.row.suppressed_because) == ("cai", "new cable")
 
 
-def test_what_makes_no_sense_is_refused_with_the_reason() -> None:
+def test_an_invalid_suppression_is_rejected_with_its_reason() -> None:
     out = take_out_of_service(raised(), "ben", "repair", at(3.0)).row
     with pytest.raises(ValueError, match="return it to service first"):
         shelve(out, "ann", "known", 1.0, at(4.0), WALL_NS)

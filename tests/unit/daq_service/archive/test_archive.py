@@ -1,4 +1,4 @@
-"""The archive gives back what it was given, and says what it cannot."""
+"""The archive returns the stored data or names what cannot be read."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +38,7 @@ from hardware_drivers.units import unit_of
 
 
 def store(folder, record):
-    """Path of the set's file."""
+    """Store a set and return the path of its file."""
     return folder / FiledArchive(folder).store_set(record).file
 
 
@@ -47,7 +47,7 @@ def stored(tmp_path):
     return store(tmp_path, make_set())
 
 
-def test_the_acknowledgement_tells_the_size_and_the_parts_of_the_time(tmp_path):
+def test_the_acknowledgement_has_the_file_size_and_the_timings(tmp_path):
     stored = FiledArchive(tmp_path).store_set(make_set())
     assert stored.n_bytes == (tmp_path / stored.file).stat().st_size
     timings = stored.timings
@@ -76,14 +76,14 @@ def test_images_may_be_built_at_the_same_time_and_leave_no_file(tmp_path, monkey
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_object_remembers_when_it_was_written():
+def test_no_object_stores_its_time_of_writing():
     # Object headers of version 2 say by bit 5 of their flags that times follow (HDF5 format, IV.A.1.b).
     flags = [match[1][0] for match in re.finditer(rb"OHDR\x02(.)", build_image(make_set()), re.DOTALL)]
     assert len(flags) > 50
     assert not any(flag & 0x20 for flag in flags)
 
 
-def test_storing_a_set_again_or_another_one_changes_no_byte(tmp_path, stored):
+def test_storing_a_set_twice_changes_no_byte(tmp_path, stored):
     before = stored.read_bytes()
     assert store(tmp_path, make_set()) == stored
     assert stored.read_bytes() == before
@@ -93,7 +93,7 @@ def test_storing_a_set_again_or_another_one_changes_no_byte(tmp_path, stored):
     assert list(stored.parent.iterdir()) == [stored]
 
 
-def test_opening_removes_what_a_crash_left(tmp_path):
+def test_opening_removes_remains_of_a_crash(tmp_path):
     folder = tmp_path / "sets"
     folder.mkdir()
     (folder / "set_000007_20240101T040000Z.tmp").write_bytes(b"half a set")
@@ -101,7 +101,7 @@ def test_opening_removes_what_a_crash_left(tmp_path):
     assert list(folder.iterdir()) == []
 
 
-def test_sets_are_listed_in_their_order_and_strangers_left_out(tmp_path):
+def test_sets_are_listed_in_order_without_foreign_files(tmp_path):
     archive = FiledArchive(tmp_path)
     for index in (12, 7, 1_000_001, 999_999):
         archive.store_set(other_set(make_set(), index))
@@ -112,7 +112,7 @@ def test_sets_are_listed_in_their_order_and_strangers_left_out(tmp_path):
 
 
 def as_format_1_0(path):
-    """Take out what format 1.0 did not have."""
+    """Remove what format 1.0 did not have."""
     with h5py.File(path, "r+") as file:
         file.attrs["solimon_format_version"] = "1.0"
         entry = file["entry"]
@@ -176,7 +176,7 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
         ),
     ],
 )
-def test_a_set_that_contradicts_itself_is_refused(change, message):
+def test_an_inconsistent_set_is_rejected(change, message):
     with pytest.raises(ValueError, match=message):
         replace(make_set(), **change)
 
@@ -192,7 +192,7 @@ def chunk_offset(path, name, row):
         return file[name].id.get_chunk_info(row).byte_offset
 
 
-def test_counts_that_were_changed_with_valid_hdf5_checksums_are_found_by_their_crc(stored):
+def test_counts_changed_with_valid_hdf5_checksums_fail_their_crc(stored):
     with h5py.File(stored, "r+") as file:
         file["entry/B_waveforms/waveform"][2, 150] += 1
     (damage,) = verify_set(stored)
@@ -200,7 +200,7 @@ def test_counts_that_were_changed_with_valid_hdf5_checksums_are_found_by_their_c
     assert "CRC-32" in damage.reason
 
 
-def test_damage_outside_the_shots_is_found(stored):
+def test_corruption_outside_the_shots_is_detected(stored):
     with h5py.File(stored) as file:
         offset = file["entry/provenance/data"].id.get_chunk_info(0).byte_offset
     flip(stored, offset + 20)
@@ -209,7 +209,7 @@ def test_damage_outside_the_shots_is_found(stored):
     assert "provenance/data" in str(damage)
 
 
-def test_a_damaged_group_costs_its_own_shots_only(stored):
+def test_a_corrupt_group_costs_only_its_shots(stored):
     with h5py.File(stored, "r+") as file:
         del file["entry/C_waveforms/time"]
         del file["entry/C_waveforms/shot_id"]
@@ -218,13 +218,13 @@ def test_a_damaged_group_costs_its_own_shots_only(stored):
     assert [item.sequence for item in verify_set(stored)] == [44]
 
 
-def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
-    """Either an error names the damage, or all that can be read is what was stored."""
+def test_no_flipped_bit_is_returned_as_data(tmp_path, stored):
+    """Either an error names the corruption, or all readable data equal the stored data."""
     whole = stored.read_bytes()
     intact = everything(stored)
     path = tmp_path / "flipped.h5"
     found = 0
-    # A bit of every 3000 bytes on average: headers, indexes, chunks and gaps are all met.
+    # A bit of every 3000 bytes on average: headers, indexes, chunks and gaps are all included.
     for offset in np.random.default_rng(3).integers(0, len(whole), len(whole) // 3000):
         path.write_bytes(whole)
         flip(path, int(offset))
@@ -241,7 +241,7 @@ def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
 
 
 def everything(path):
-    """Every dataset and attribute of a file as bytes, axes and text as text."""
+    """Return every dataset and attribute of a file as bytes, axes and text as text."""
     found = {}
 
     def visit(name, item):
@@ -261,14 +261,14 @@ def everything(path):
 
 
 @pytest.mark.parametrize("content", [b"", b"not HDF5 at all", b"\x89HDF\r\n\x1a\n" + bytes(100)])
-def test_what_is_no_hdf5_file_is_damaged(tmp_path, content):
+def test_a_file_that_is_not_hdf5_is_corrupt(tmp_path, content):
     path = tmp_path / "set.h5"
     path.write_bytes(content)
     with pytest.raises(CorruptArchiveError, match=r"set\.h5"):
         read_set(path)
 
 
-def test_a_truncated_file_is_damaged(stored):
+def test_a_truncated_file_is_corrupt(stored):
     stored.write_bytes(stored.read_bytes()[:-100])
     with pytest.raises(CorruptArchiveError, match="damaged"):
         read_set(stored)
@@ -282,7 +282,7 @@ def test_a_file_of_another_format_is_refused(stored, version):
         read_set(stored)
 
 
-def test_a_file_in_the_way_of_the_folder_is_a_storage_error(tmp_path):
+def test_a_file_at_the_path_of_the_folder_is_a_storage_error(tmp_path):
     (tmp_path / "sets").write_bytes(b"")
     with pytest.raises(ArchiveWriteError, match="sets cannot be written"):
         FiledArchive(tmp_path)

@@ -1,4 +1,4 @@
-"""Chunks that are filtered outside of HDF5 are read by HDF5's own filters."""
+"""Chunks that are filtered outside of HDF5 are read by the filters of HDF5."""
 
 import shutil
 import subprocess
@@ -15,7 +15,7 @@ SAMPLES = 13_000
 
 
 def record(rms_counts, dtype=np.int16, n=SAMPLES, seed=1):
-    """Two pulses in white noise."""
+    """Return two pulses in white noise."""
     time = np.arange(n) - n / 4
     pulse = 8_000 * np.exp(-((time / 300) ** 2)) + 4_000 * np.exp(-(((time - n / 3) / 300) ** 2))
     return np.rint(pulse + np.random.default_rng(seed).normal(0.0, rms_counts, n)).astype(dtype)
@@ -29,7 +29,7 @@ def file_with(path, values, chunk):
 
 
 def by_hdf5(path, values, chunk):
-    """The same array through the filters of HDF5."""
+    """Return the same array after the filters of HDF5."""
     with h5py.File(path, "w") as file:
         file.create_dataset(
             "values",
@@ -63,19 +63,19 @@ def test_hdf5_reads_what_was_written(tmp_path, n, dtype, rms_counts):
 
 
 @pytest.mark.skipif(shutil.which("h5dump") is None, reason="the HDF5 command-line tools are not installed")
-def test_the_tools_of_hdf5_read_it_too(tmp_path):
+def test_the_hdf5_tools_read_the_chunks(tmp_path):
     values = record(160.0, n=50).reshape(1, -1)
     path = file_with(tmp_path / "set.h5", values, (1, 50))
     # -y -w 0: data only, on one line.
-    told = subprocess.run(
+    completed = subprocess.run(
         ["h5dump", "-d", "/values", "-y", "-w", "0", str(path)], capture_output=True, text=True, check=True
     )
-    numbers = told.stdout.partition("DATA {")[2].partition("}")[0]
+    numbers = completed.stdout.partition("DATA {")[2].partition("}")[0]
     np.testing.assert_array_equal([int(text) for text in numbers.split(",")], values[0])
 
 
 @pytest.mark.parametrize("rms_counts", [0.0, 1.0, 3.0, 20.0, 160.0])
-def test_it_is_no_longer_than_what_hdf5_writes(tmp_path, rms_counts):
+def test_a_chunk_is_not_longer_than_that_of_hdf5(tmp_path, rms_counts):
     values = np.stack([record(rms_counts, seed=seed) for seed in range(5)])
     ours = chunk_bytes(file_with(tmp_path / "ours.h5", values, (1, SAMPLES)))
     theirs = chunk_bytes(by_hdf5(tmp_path / "theirs.h5", values, (1, SAMPLES)))
@@ -95,12 +95,12 @@ def test_noise_in_the_low_bytes_is_stored_and_the_high_bytes_get_shorter(tmp_pat
 @pytest.mark.parametrize("n", [1, 2, 3, 1_000, 1_001])
 @pytest.mark.parametrize("content", ["zeros", "ones", "random"])
 def test_the_checksum_is_that_of_hdf5(tmp_path, n, content):
-    made = {
+    chunks = {
         "zeros": np.zeros(n),
         "ones": np.full(n, 255),
         "random": np.random.default_rng(n).integers(0, 256, n),
     }
-    values = made[content].astype(np.uint8)
+    values = chunks[content].astype(np.uint8)
     with h5py.File(tmp_path / "sum.h5", "w") as file:
         dataset = file.create_dataset("values", data=values, chunks=(n,), fletcher32=True)
         mask, chunk = dataset.id.read_direct_chunk((0,))
@@ -109,7 +109,7 @@ def test_the_checksum_is_that_of_hdf5(tmp_path, n, content):
     assert fletcher32(values.tobytes()) == int.from_bytes(chunk[-4:], "little")
 
 
-def test_a_flipped_bit_of_a_stored_plane_is_found(tmp_path):
+def test_a_flipped_bit_of_a_stored_plane_is_detected(tmp_path):
     values = record(160.0).reshape(1, -1)
     path = file_with(tmp_path / "set.h5", values, (1, SAMPLES))
     with h5py.File(path) as file:

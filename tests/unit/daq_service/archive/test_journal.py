@@ -1,4 +1,4 @@
-"""The journal's segments on a disk that refuses: nothing is acknowledged that is not synced, nothing lost."""
+"""Journal segments on a failing disk: only synced data are acknowledged, and no data are lost."""
 
 import errno
 import os
@@ -35,14 +35,14 @@ def archive(tmp_path):
         yield archive
 
 
-def begun(archive, record):
+def append_set(archive, record):
     archive.begin_set(record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
 
 
-class Refusing:
-    """A call of the system that fails a number of times, and how often it was called on which file."""
+class FailingCall:
+    """System call double that fails a number of times and counts its calls for each file."""
 
     def __init__(self, call, times, error=errno.ENOSPC):
         self.call, self.times, self.error = call, times, error
@@ -56,9 +56,9 @@ class Refusing:
 
 
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
-def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, monkeypatch, name):
-    begun(archive, make_set())
-    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
+def test_after_a_write_error_data_go_to_a_new_segment(archive, tmp_path, monkeypatch, name):
+    append_set(archive, make_set())
+    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert list(segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
@@ -66,8 +66,8 @@ def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, mon
 
 
 def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
-    """The second one may succeed although the data are gone."""
-    begun(archive, make_set())
+    """The second sync may succeed although the data are lost."""
+    append_set(archive, make_set())
     opened, real = [], os.open
 
     def noting(path, *arguments):
@@ -75,7 +75,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         return real(path, *arguments)
 
     monkeypatch.setattr(writer.os, "open", noting)
-    monkeypatch.setattr(writer, "synchronise", Refusing(writer.synchronise, 2, errno.EIO))
+    monkeypatch.setattr(writer, "synchronise", FailingCall(writer.synchronise, 2, errno.EIO))
     with pytest.raises(ArchiveWriteError, match="Input/output error"):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
@@ -88,7 +88,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
     archive.begin_set(SET_INDEX, due_utc_ns=1, started_utc_ns=1, retired={})
     archive.append(first, 1)
     assert archive.sync() == [first.sequence]
-    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 20, errno.EIO))
+    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 20, errno.EIO))
     for item in others:
         archive.append(item, 2)
         with pytest.raises(ArchiveWriteError):
@@ -98,10 +98,10 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
     assert first.sequence in {item.sequence for item in opened.records}
 
 
-def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
-    begun(archive, make_set())
+def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monkeypatch):
+    append_set(archive, make_set())
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "write_all", Refusing(writer.write_all, 99))
+        patch.setattr(writer, "write_all", FailingCall(writer.write_all, 99))
         for _ in range(2):
             with pytest.raises(ArchiveWriteError, match="free some space"):
                 archive.sync()
@@ -110,34 +110,36 @@ def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, 
     assert bits(FolderArchive(tmp_path).read_set(stored.file)) == bits(make_set())
 
 
-def test_a_nearly_full_disk_is_used_to_its_end(archive, monkeypatch):
-    """No room for a whole segment is no reason to refuse a record."""
-    monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
-    begun(archive, make_set())
+def test_a_nearly_full_disk_is_used_completely(archive, monkeypatch):
+    """A record is written even if a whole segment does not fit."""
+    monkeypatch.setattr(writer.os, "posix_fallocate", FailingCall(os.posix_fallocate, 99), raising=False)
+    append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 
 
-def test_segments_go_with_their_last_set(tmp_path):
-    """Sets of several segments, segments of several sets."""
+def test_a_segment_is_removed_with_its_last_set(tmp_path):
+    """Sets have several segments, and segments have several sets."""
     small = 3 * RECORDS[0].waveform.counts.nbytes
     sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
     with closing(FolderArchive(tmp_path)) as archive:
         archive._journal_writer = Journal(tmp_path, segment_bytes=small)
         for record in sets:
-            begun(archive, record)
+            append_set(archive, record)
             archive.store_set(record)
         for number, record in enumerate(sets, 1):
             compact_set(tmp_path, record.set_index)
             archive.settle(record.set_index)
             left = FolderArchive(tmp_path)
             assert left.open_sets() == {}
-            assert [bits(left.read_set(file)) for file in left.sets().values()] == [bits(one) for one in sets]
+            assert [bits(left.read_set(file)) for file in left.sets().values()] == [
+                bits(item) for item in sets
+            ]
             assert len(list(tmp_path.glob("sets/*.h5"))) == number
     assert list(segments(tmp_path)) == []
 
 
-def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
-    """A set goes over syncs, segments and a restart; its neighbours need not be read for it."""
+def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
+    """A set extends over syncs, segments and a restart; no other set is read with it."""
     first, second, third = (other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3))
     small = 4 * RECORDS[0].waveform.counts.nbytes
     with closing(FolderArchive(tmp_path)) as archive:
@@ -159,7 +161,7 @@ def test_the_places_of_a_set_hold_all_its_frames_and_little_else(tmp_path):
             (found,) = read_journal(tmp_path, of_set=index, places=places).values()
             assert set(read_journal(tmp_path, of_set=index)) == {index}
             assert (found.is_whole, bits(found.record())) == (True, bits(record))
-        # Of a set that this process wrote alone, not a byte more than its frames.
+        # A set that this process wrote alone has no more bytes than its frames.
         places = archive.places(third.set_index)
         ((number, (start, end)),) = places.items()
         (whole,) = (content for other, content in contents(tmp_path) if other == number)
@@ -175,7 +177,7 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     compact_set(tmp_path, SET_INDEX)
     file = tmp_path / stored.file
     content = file.read_bytes()
-    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before it heard of the first one
+    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before the first acknowledgement
     assert file.read_bytes() == content
     changed = bytearray(content)
     with h5py.File(file) as opened:
@@ -204,8 +206,8 @@ def no_file(number):
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EMFILE, errno.ENOENT], ids=errno.errorcode.get)
-def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, monkeypatch, number):
-    """Damage is not tried again, and a set that the journal is said not to have would be forgotten there."""
+def test_a_temporary_read_error_is_no_corruption(archive, tmp_path, monkeypatch, number):
+    """Corruption is not retried, and a set that is reported absent from the journal would be lost."""
     archive.store_set(make_set())
 
     with monkeypatch.context() as patch:
@@ -215,8 +217,8 @@ def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, mon
     compact_set(tmp_path, SET_INDEX)
 
 
-def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monkeypatch):
-    """A start sets damaged files without rows aside, and must not take this one for such."""
+def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archive, tmp_path, monkeypatch):
+    """A start quarantines corrupt files without rows and must not quarantine this one."""
     stored = archive.store_set(make_set())
     compact_set(tmp_path, SET_INDEX)
     monkeypatch.setattr(reader.h5py, "File", no_file(errno.EMFILE))
@@ -224,7 +226,7 @@ def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monke
         archive.read_set(stored.file)
 
 
-def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_path, monkeypatch):
+def test_a_segment_that_cannot_be_removed_is_removed_with_the_next_set(archive, tmp_path, monkeypatch):
     for index in (SET_INDEX, SET_INDEX + 1):
         archive.store_set(other_set(make_set(), index))
         archive._journal_writer._abandon()
@@ -236,18 +238,18 @@ def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_pa
     assert list(segments(tmp_path)) == []
 
 
-def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
+def test_an_incomplete_set_is_not_finalized(archive, tmp_path):
     with pytest.raises(SetNotFoundError, match="no set 7"):
         compact_set(tmp_path, SET_INDEX)
-    begun(archive, make_set())
+    append_set(archive, make_set())
     archive.sync()
     with pytest.raises(CorruptArchiveError, match="set 7 in the journal has no end"):
         compact_set(tmp_path, SET_INDEX)
 
 
-def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
-    """The end is there and a record is not: nobody was told of the set, and it is taken again."""
-    begun(archive, make_set())
+def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
+    """The end is stored and a record is missing: the set was not acknowledged and is taken again."""
+    append_set(archive, make_set())
     archive.store_set(make_set())
     (path,) = segments(tmp_path).values()
     content = bytearray(path.read_bytes())

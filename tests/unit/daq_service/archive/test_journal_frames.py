@@ -1,4 +1,4 @@
-"""Frames: whatever is cut or flipped, what is read is what was written; only the damaged one is lost."""
+"""Journal frames: after a cut or a flipped bit only the corrupt frame is lost."""
 
 import pytest
 from support.archived_sets import make_set, make_shot
@@ -23,28 +23,28 @@ def sound(content):
 ALL = sound(SEGMENT)
 
 
-def test_every_record_comes_back_bit_for_bit():
+def test_every_record_is_restored_bit_for_bit():
     found = [record_of(frame) for frame in frames(SEGMENT) if frame.sequence >= 0]
     assert bits(found) == bits(RECORDS)
     assert len(ALL) == len(WRITTEN)
 
 
 @pytest.mark.parametrize("odd", [float("nan"), float("inf"), -0.0, 5e-324])
-def test_a_number_that_json_has_no_word_for_comes_back(odd):
+def test_a_number_without_json_representation_is_restored(odd):
     shot = make_shot("B", 0, 1, truth={"depth_m": odd}, settings={"note": "null", "gain": odd})
     (frame,) = frames(b"".join(record_frame(shot)))
     assert bits(record_of(frame)) == bits(shot)
 
 
 def test_a_flipped_bit_costs_one_frame_at_most():
-    """Sound frames are exactly those that were written; one that begins elsewhere is none."""
+    """The intact frames are exactly the written ones; a frame at another offset is invalid."""
     step = 13  # every byte would take half a minute; this meets every field of header, facts and counts
-    for place in range(0, len(SEGMENT), step):
+    for position in range(0, len(SEGMENT), step):
         content = bytearray(SEGMENT)
-        content[place] ^= 1 << place % 8
+        content[position] ^= 1 << position % 8
         found = sound(bytes(content))
-        assert found.items() <= ALL.items(), place
-        assert len(found) >= len(ALL) - 1, place
+        assert found.items() <= ALL.items(), position
+        assert len(found) >= len(ALL) - 1, position
 
 
 def test_a_segment_cut_anywhere_keeps_what_came_before():
@@ -55,7 +55,7 @@ def test_a_segment_cut_anywhere_keeps_what_came_before():
         assert len(found) == sum(end <= length for end in ends)
 
 
-def test_the_next_frame_is_found_behind_a_page_that_was_never_written():
+def test_the_next_frame_is_found_after_an_unwritten_page():
     start = len(WRITTEN[0]) + 100
     content = SEGMENT[:start] + bytes(500) + SEGMENT[start + 500 :]
     found = sound(content)

@@ -1,4 +1,4 @@
-"""A set's file that leads elsewhere or claims more than it holds is refused before anything is read."""
+"""A set file with external links or wrong sizes is rejected before any data are read."""
 
 import re
 import sys
@@ -55,18 +55,18 @@ def _named_type(entry, _):
 
 
 def _plug_in(entry, _):
-    made = h5p.create(h5p.DATASET_CREATE)
-    made.set_chunk((4,))
-    made.set_filter(32001, h5z.FLAG_OPTIONAL, ())
-    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=made)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_chunk((4,))
+    properties.set_filter(32001, h5z.FLAG_OPTIONAL, ())
+    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=properties)
 
 
 def _twice_deflated(entry, _):
-    made = h5p.create(h5p.DATASET_CREATE)
-    made.set_chunk((4,))
-    made.set_deflate(9)
-    made.set_deflate(9)
-    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=made)
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_chunk((4,))
+    properties.set_deflate(9)
+    properties.set_deflate(9)
+    h5d.create(entry.id, b"more", h5t.STD_I64LE, h5s.create_simple((4,)), dcpl=properties)
 
 
 def _variable_texts(entry, _):
@@ -102,7 +102,7 @@ def _empty_rows(entry, _):
 
 
 def _inflated_column(entry, _):
-    """Forty million equal numbers in 311 kB: deflate alone could explain them, the records cannot."""
+    """Return forty million equal numbers in 311 kB: deflate can explain them, the records cannot."""
     del entry[COLUMN]
     n = 1_000_000
     entry.create_dataset(COLUMN, data=np.zeros(n, "<i8"), chunks=(n,), compression="gzip")
@@ -137,18 +137,18 @@ def path(tmp_path):
 
 
 @pytest.mark.parametrize("change", REFUSED, ids=lambda change: change.__name__[1:])
-def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
+def test_external_links_and_wrong_sizes_are_rejected(path, change):
     with h5py.File(path, "r+") as file:
         change(file["entry"], path.with_name("secret"))
-    told = re.compile(REFUSED[change])
+    pattern = re.compile(REFUSED[change])
     tracemalloc.start()
-    with pytest.raises(CorruptArchiveError, match=told):
+    with pytest.raises(CorruptArchiveError, match=pattern):
         read_file(path, skip_damaged=True)
-    with pytest.raises(CorruptArchiveError, match=told):
+    with pytest.raises(CorruptArchiveError, match=pattern):
         blocks_of(path.parent, path.name)
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=pattern):
         open_records(path, FileParameters())
-    assert any(told.search(str(damage)) for damage in check_file(path).damages)
+    assert any(pattern.search(str(damage)) for damage in check_file(path).damages)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     # A few copies of the file and its handles: far below what it claims.
@@ -156,13 +156,13 @@ def test_what_leads_elsewhere_or_claims_too_much_is_refused(path, change):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a right there that few users have")
-def test_a_link_in_a_data_folder_is_refused(path):
+def test_a_link_in_a_data_folder_is_rejected(path):
     link = path.with_name("link.h5")
     link.symlink_to(path)
     with pytest.raises(CorruptArchiveError, match="it is a link"):
         read_file(link)
     assert "it is a link" in str(check_file(link).damages[0])
-    # A person who names a link to a command means the file behind it.
+    # A link as an argument of a command means the linked file.
     assert open_records(link, FileParameters()).n == len(make_set().shots)
 
 

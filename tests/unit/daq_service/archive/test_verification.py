@@ -1,4 +1,4 @@
-"""Damaged files and segments: named, or every value that is read is the one that was written."""
+"""Corrupt files and segments are reported, or every value that is read equals the written one."""
 
 import hashlib
 import struct
@@ -21,7 +21,7 @@ from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file
 
 QUICK = [range(15)]
-# A hundred damages on a machine that does other things.
+# A hundred corruptions on a busy machine.
 LONG = (pytest.mark.slow, pytest.mark.timeout(1800))
 SLOW = [pytest.param(range(start, start + 100), marks=LONG) for start in range(30, 1030, 100)]
 
@@ -46,7 +46,7 @@ def test_a_file_as_it_was_written_is_clean(path, image):
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
-def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers):
+def test_a_corrupt_file_is_reported_or_reads_unchanged(path, image, numbers):
     named = 0
     for number in numbers:
         content = damaged(image, number)
@@ -55,14 +55,14 @@ def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers
         named += bool(found.damages)
         assert found.damages or bits(found.record) == bits(make_set()), number
         if not found.damages:
-            # With its SHA-256 a touched file is named also where nothing of value was hit.
+            # With its SHA-256 a changed file is reported also if no value was changed.
             touched = check_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
             assert touched == (content != image), number
     assert named > len(numbers) / 2
 
 
 @pytest.mark.parametrize("length", [0, 1 << 40, (1 << 64) - 16], ids=["zeros", "far", "back"])
-def test_a_heap_of_strings_in_which_hdf5_would_stay_for_ever_is_named(path, image, length):
+def test_a_string_heap_with_an_endless_loop_is_reported(path, image, length):
     at = image.index(b"GCOL")
     first, free = at + 16, struct.pack("<H6xQ", 0, length)
     path.write_bytes(image[:first] + free + image[first + len(free) :])
@@ -70,7 +70,7 @@ def test_a_heap_of_strings_in_which_hdf5_would_stay_for_ever_is_named(path, imag
     assert f"the object at byte {first} of a heap of strings has the length {length}" in found.reason
 
 
-def test_a_damaged_record_is_named_by_its_shot(path, image):
+def test_a_corrupt_record_is_reported_with_its_shot(path, image):
     with h5py.File(path, "r+") as file:
         place = file["entry/B_waveforms/waveform"].id.get_chunk_info(1).byte_offset
     content = bytearray(image)
@@ -81,7 +81,7 @@ def test_a_damaged_record_is_named_by_its_shot(path, image):
     assert [item.sequence for item in found.record.records] == [40, 41, 43, 44]
 
 
-def test_a_file_that_contradicts_itself_is_named_by_the_place(path):
+def test_an_inconsistent_file_is_reported_with_the_location(path):
     with h5py.File(path, "r+") as file:
         file["entry/B_waveforms/time"][3] = 1.0
         file["entry/B_waveforms"].attrs["signal"] = np.bytes_("waveform")
@@ -89,7 +89,7 @@ def test_a_file_that_contradicts_itself_is_named_by_the_place(path):
     assert "entry/B_waveforms/time is not what the rest of the file says" in map(str, found.damages)
 
 
-def test_what_only_another_library_packs_otherwise_is_no_damage(path, image):
+def test_a_different_compression_library_is_no_corruption(path, image):
     with h5py.File(path, "r+") as file:
         values = file["entry/B_waveforms/waveform"][()]
         file["entry/B_waveforms/waveform"][()] = values
@@ -109,7 +109,7 @@ def test_an_empty_file_is_unreadable_and_a_missing_one_is_not_there(path):
 # The journal ---------------------------------------------------------------------------------------
 
 
-def begun(archive, record):
+def append_set(archive, record):
     archive.begin_set(
         record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
     )
@@ -120,16 +120,16 @@ def begun(archive, record):
 
 @pytest.fixture
 def journal(tmp_path):
-    """A whole set and an open one."""
+    """Return a folder with a complete and an open set."""
     with closing(FolderArchive(tmp_path)) as archive:
-        begun(archive, make_set())
+        append_set(archive, make_set())
         archive.store_set(make_set())
-        begun(archive, other_set(make_set(), SET_INDEX + 1))
+        append_set(archive, other_set(make_set(), SET_INDEX + 1))
     return tmp_path
 
 
 def parse_line(folder):
-    """Everything that a start would take from the journal."""
+    """Return everything that a start reads from the journal."""
     found = read_journal(folder)
     return {
         index: bits(item.record() if item.is_whole else item.opened()) if item.end or item.begin else None
@@ -144,7 +144,7 @@ def test_a_journal_as_it_was_written_is_clean(journal):
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
-def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers):
+def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
     path = segment_path(journal, 1)
     content, before = path.read_bytes(), parse_line(journal)
     used = len(content.rstrip(b"\0"))
@@ -157,14 +157,14 @@ def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers)
         if not any(broken[end - end % PAGE :]):
             end -= end % PAGE
         if end < used:
-            # It ends early, as after a crash: what is left is read, and no value is another one.
+            # It ends early, as after a crash: the rest is read, and no value differs.
             assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
         else:
             assert found.damages or parse_line(journal) == before, number
         assert all(file == "journal/000001.journal" for file, _ in found.damages)
 
 
-def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
+def test_a_corrupt_frame_is_reported_with_its_shot_and_the_others_are_read(journal):
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
@@ -179,8 +179,8 @@ def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
     assert [damage.sequence for _, damage in check_journal(journal).damages] == [42, opened]
 
 
-def test_a_frame_whose_header_is_damaged_is_told_by_its_place(journal):
-    """Of an open set nothing names its records."""
+def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
+    """In an open set no other entry names its records."""
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 1000 + 42)
@@ -192,8 +192,8 @@ def test_a_frame_whose_header_is_damaged_is_told_by_its_place(journal):
 
 
 @pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
-def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
-    """Of a segment that was not allocated at once: on one that was, whole pages of zeros follow."""
+def test_an_incomplete_last_frame_is_no_corruption(journal, cut):
+    """The segment is not preallocated; in a preallocated one, pages of zeros follow."""
     path = segment_path(journal, 1)
     content = path.read_bytes()
     last = [*frame_format.frames(content)][-1]
@@ -201,7 +201,7 @@ def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
     assert check_journal(journal).damages == []
 
 
-def test_a_group_that_failed_and_went_to_a_new_segment_is_no_damage(journal):
+def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
     first, second = segment_path(journal, 1), segment_path(journal, 2)
     content = first.read_bytes()
     last = [*frame_format.frames(content)][-1]
@@ -212,7 +212,7 @@ def test_a_group_that_failed_and_went_to_a_new_segment_is_no_damage(journal):
     assert check_journal(journal).damages == []
 
 
-def test_a_frame_whose_set_has_its_file_is_needed_by_nobody(journal):
+def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
     compact_set(journal, SET_INDEX)
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
@@ -222,7 +222,7 @@ def test_a_frame_whose_set_has_its_file_is_needed_by_nobody(journal):
     assert check_journal(journal).damages == []
 
 
-def test_records_of_format_1_0_are_compared_with_what_that_format_says(path, monkeypatch):
+def test_records_of_format_1_0_are_verified_by_that_format(path, monkeypatch):
     older = replace(make_set(), outcomes={}, missed=[], trouble="", environment={})
     monkeypatch.setattr("daq_service.archive.layout.FORMAT_VERSION", "1.0")
     content = build_image(older)

@@ -1,4 +1,4 @@
-"""Records reduced to cells: against the definition, sample by sample, and against known shifts."""
+"""Records reduced to cells: compared with the definition sample by sample and with known shifts."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ from hardware_drivers.measurement import Waveform
 
 
 def by_definition(waveform: Waveform, anchor_s: float, frame: Frame) -> np.ndarray:
-    """Each sample by itself into the cell into which its time after the anchor falls."""
+    """Put each sample into the cell of its time after the anchor."""
     planes = np.full((2, frame.n_cells), np.nan, dtype=np.float32)
     for sample, volts in enumerate(waveform.volts().astype(np.float32)):
         after = round((sample - waveform.pretrigger_samples) - anchor_s * waveform.sample_rate_hz, 9)
@@ -43,7 +43,7 @@ def test_each_sample_is_in_the_cell_of_its_time(alignment, width, anchor_s):
     np.testing.assert_array_equal(planes_of_record(waveform, anchor_s, frame), expected)
 
 
-def test_a_frame_holds_the_whole_record_in_few_cells():
+def test_a_frame_covers_the_whole_record_in_few_cells():
     waveform = Scene().waveform()
     frame = frame_of(waveform, "trigger")
     assert (frame.width, frame.n_cells <= 1024) == (16, True)
@@ -55,8 +55,8 @@ def test_a_frame_holds_the_whole_record_in_few_cells():
     assert aligned.first_s == pytest.approx(-0.5 * 13_000 / 10e6, abs=aligned.cell_s)
 
 
-def test_records_shifted_by_known_fractions_of_a_sample_lie_over_one_another():
-    """The same pulse at 64 times, a part of a sample apart: aligned, no peak is a cell away from another."""
+def test_records_shifted_by_fractions_of_a_sample_are_aligned():
+    """The same pulse at 64 fractions of a sample: after alignment no peak is a cell off."""
     scene = Scene(ssw_fraction=0.0)
     frame = frame_of(scene.waveform(), "first").part(None, None, 1)
     peaks, at_trigger = [], []
@@ -66,7 +66,7 @@ def test_records_shifted_by_known_fractions_of_a_sample_lie_over_one_another():
         peaks.append(int(np.nanargmax(row[1])) + frame.first)
         unmoved = planes_of_record(moved.waveform(), 0.0, frame)
         at_trigger.append(int(np.nanargmax(unmoved[1])) + frame.first)
-    # A maximum between two samples is seen at one of them; quantised, a flat top at one beside.
+    # A maximum between two samples appears at one of them, with a quantized flat top at a neighbor.
     assert max(peaks) - min(peaks) <= 3
     assert max(at_trigger) - min(at_trigger) == pytest.approx(63 * 0.37, abs=3)
 
@@ -88,7 +88,7 @@ def test_a_single_sample_survives_at_every_width():
     spiked = replace(waveform, counts=counts)
     spike = np.float32(spiked.volts()[7_777])
     frame = frame_of(waveform, "trigger")
-    row = merge_planes([planes_of_record(one, 0.0, frame) for one in (waveform, spiked, waveform)])
+    row = merge_planes([planes_of_record(item, 0.0, frame) for item in (waveform, spiked, waveform)])
     for width in (16, 32, 64, 256, 1024, 16_384):
         part = frame.part(None, None, width)
         its = coarsen(row, frame, part)

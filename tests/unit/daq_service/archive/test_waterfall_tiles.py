@@ -1,4 +1,4 @@
-"""Pictures from tiles are those computed from the records, whatever of the tiles is gone, torn or foreign."""
+"""Waterfall figures from tiles equal those from the records, even if tiles are missing, torn or foreign."""
 
 import shutil
 from dataclasses import replace
@@ -21,8 +21,8 @@ SPIKED = 37
 EXPERIMENT = "ab/1"
 
 
-def a_set(index: int, n_samples: int = 300):
-    """Two records of noise at B, whose first pulse lies a fraction of a sample elsewhere in each."""
+def noise_set(index: int, n_samples: int = 300):
+    """Return two records of noise at B whose first pulses differ by a fraction of a sample."""
     shots = [make_shot("B", k, 10_000 + 2 * index + k, n_samples=n_samples) for k in range(2)]
     record = replace(
         make_set(),
@@ -43,11 +43,11 @@ def a_set(index: int, n_samples: int = 300):
 
 
 class Stored:
-    """Sets in memory, as a picture's index and source; counts what is read."""
+    """Sets in memory as the index and source of a figure; counts the reads."""
 
     def __init__(self, n_sets: int = N_SETS, n_samples: int = 300) -> None:
         self.archive = MemoryArchive()
-        taken = {index: a_set(index, n_samples) for index in range(n_sets) if index not in MISSED}
+        taken = {index: noise_set(index, n_samples) for index in range(n_sets) if index not in MISSED}
         self.files = {index: self.archive.store_set(record).file for index, (record, _) in taken.items()}
         self.records = {index: record for index, (record, _) in taken.items()}
         self._anchors = {index: anchors for index, (_, anchors) in taken.items()}
@@ -71,7 +71,7 @@ class Stored:
             write_tiles_of_set(folder, experiment, self.records[index], self._anchors[index])
 
     def expected(self, tiles, frame, first, last, row_sets=1):
-        """Rows straight from the records, by the cells of the frame."""
+        """Return the rows computed from the records with the cells of the frame."""
         rows = {}
         for index in range(first // row_sets * row_sets, (last // row_sets + 1) * row_sets):
             for shot in self.records[index].shots if index in self.files else ():
@@ -102,7 +102,7 @@ def stored():
 
 @pytest.fixture(scope="module")
 def kept(stored, tmp_path_factory):
-    """A folder with the tiles of all sets."""
+    """Return a folder with the tiles of all sets."""
     folder = tmp_path_factory.mktemp("kept")
     stored.keep(folder)
     return folder
@@ -122,8 +122,8 @@ def tiles(tmp_path, stored):
     return tiles_at
 
 
-def drawn(stored, tiles, wanted, reader=None):
-    """Ask until everything was read."""
+def draw(stored, tiles, wanted, reader=None):
+    """Request the figure until everything was read."""
     reader = reader or WaterfallReader(stored)
     for _ in range(N_SETS):
         picture = reader.figure_of_sets(tiles, stored, wanted)
@@ -145,9 +145,9 @@ WANTED = {
 
 @pytest.mark.parametrize("wanted", WANTED.values(), ids=WANTED)
 @pytest.mark.parametrize("alignment", ["trigger", "first"])
-def test_tiles_draw_what_the_records_hold(copied, stored, tiles, alignment, wanted):
+def test_tiles_give_the_same_figure_as_the_records(copied, stored, tiles, alignment, wanted):
     its = tiles(alignment)
-    picture = drawn(stored, its, wanted)
+    picture = draw(stored, its, wanted)
     expected = stored.expected(its, picture.frame, wanted.first, wanted.last, picture.row_sets)
     assert len(picture.rows) == len(expected) <= wanted.rows
     assert picture.frame.n_cells <= wanted.columns
@@ -155,13 +155,13 @@ def test_tiles_draw_what_the_records_hold(copied, stored, tiles, alignment, want
         np.testing.assert_array_equal(row.planes, planes)
 
 
-def test_of_few_sets_samples_are_seen_though_tiles_are_coarser(tmp_path):
+def test_few_sets_show_samples_finer_than_the_tiles(tmp_path):
     its = Stored(n_sets=2, n_samples=1300)
     its.keep(tmp_path)
     tiles = tiles_of(tmp_path, EXPERIMENT, its.records[0], "B", "trigger")
     assert tiles.frame.width == 2
     wanted = Wanted(first=0, last=1, rows=10, columns=50, from_s=1e-6, to_s=4e-6)
-    picture = drawn(its, tiles, wanted)
+    picture = draw(its, tiles, wanted)
     assert (picture.frame.width, picture.frame.n_cells, its.n_read) == (1, 30, 2)
     volts = [shot.waveform.volts()[110:140].astype(np.float32) for shot in its.records[0].shots]
     np.testing.assert_array_equal(picture.rows[0].planes, [np.min(volts, axis=0), np.max(volts, axis=0)])
@@ -178,15 +178,15 @@ def test_a_single_sample_is_seen_at_every_level(copied, stored, tiles, rows, col
     assert max(picture.peaks) == spike
 
 
-def test_a_whole_picture_reads_no_record(copied, stored, tiles):
+def test_a_figure_from_complete_tiles_reads_no_record(copied, stored, tiles):
     before = stored.n_read
     for rows in (1, 4, 30, 100):
-        drawn(stored, tiles("trigger"), replace(ALL, rows=rows))
+        draw(stored, tiles("trigger"), replace(ALL, rows=rows))
     assert stored.n_read == before
 
 
-def damaged(path):
-    """Flip a bit of a sample of the third row, where there is one: a NaN would stay one."""
+def corrupt_tile(path):
+    """Flip a bit of a sample of the third row if it exists; in a NaN the flip would have no effect."""
     n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
     content = bytearray(path.read_bytes())
     content[512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2] ^= 0x40
@@ -195,7 +195,7 @@ def damaged(path):
 
 FAULTS = {
     "deleted": lambda path: path.unlink(),
-    "a flipped bit": damaged,
+    "a flipped bit": corrupt_tile,
     "torn": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "empty": lambda path: path.write_bytes(b""),
     "zeros": lambda path: path.write_bytes(bytes(path.stat().st_size)),
@@ -206,12 +206,12 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
 @pytest.mark.parametrize("level", [0, 1, 2])
-def test_what_is_wrong_with_a_tile_is_in_no_picture_and_is_made_again(copied, stored, tiles, level, fault):
+def test_a_corrupt_tile_is_not_shown_and_is_made_again(copied, stored, tiles, level, fault):
     wanted = replace(ALL, rows=100 // 4**level)
-    sound = drawn(stored, tiles("first"), wanted)
+    sound = draw(stored, tiles("first"), wanted)
     path = copied / TILES_FOLDER / "B" / "first" / f"{4**level:04d}-000000.tile"
     fault(path)
-    found = drawn(stored, tiles("first"), wanted)
+    found = draw(stored, tiles("first"), wanted)
     for row, its in zip(found.rows, sound.rows, strict=True):
         np.testing.assert_array_equal(row.planes, its.planes)
     if path.is_dir():
@@ -220,11 +220,11 @@ def test_what_is_wrong_with_a_tile_is_in_no_picture_and_is_made_again(copied, st
         return
     stored.keep(copied)
     before = stored.n_read
-    drawn(stored, tiles("first"), wanted)
+    draw(stored, tiles("first"), wanted)
     assert stored.n_read == before, "the tiles are whole again"
 
 
-def test_tiles_of_another_experiment_are_not_taken_and_give_way(tmp_path, stored, tiles):
+def test_tiles_of_another_experiment_are_ignored_and_replaced(tmp_path, stored, tiles):
     foreign = Stored()
     foreign.records = {index: other_set(foreign.records[0], index) for index in foreign.files}
     foreign.keep(tmp_path, experiment="cd/1", indices=[0])
@@ -235,21 +235,21 @@ def test_tiles_of_another_experiment_are_not_taken_and_give_way(tmp_path, stored
     np.testing.assert_array_equal(row.planes, expected[0])
 
 
-def test_a_row_that_lacks_a_set_is_passed_over(tmp_path, stored, tiles):
-    """The disk refused one set's tile: the rows above it count too few, and its records are read."""
+def test_a_row_that_lacks_a_set_is_skipped(tmp_path, stored, tiles):
+    """The disk rejected the tile of one set: rows above it lack a set, so its records are read."""
     stored.keep(tmp_path, indices=[index for index in stored.files if index != SPIKED])
     before = stored.n_read
-    picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
+    picture = draw(stored, tiles("trigger"), replace(ALL, rows=3))
     spike = stored.records[SPIKED].shots[1].waveform.volts()[222]
     assert max(picture.peaks) == np.float32(spike)
     assert stored.n_read == before + 1
     stored.keep(tmp_path)
-    picture = drawn(stored, tiles("trigger"), replace(ALL, rows=3))
+    picture = draw(stored, tiles("trigger"), replace(ALL, rows=3))
     assert (max(picture.peaks), stored.n_read) == (np.float32(spike), before + 1)
 
 
-def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
-    """A disk that refuses new folders costs no tile in those that it has."""
+def test_existing_folders_are_not_created_again(copied, stored, monkeypatch):
+    """A disk that rejects new folders costs no tile in the existing ones."""
     tile = copied / TILES_FOLDER / "B" / "first" / "0001-000000.tile"
     whole = tile.read_bytes()
     tile.unlink()
@@ -262,7 +262,7 @@ def test_folders_that_are_there_are_not_asked_for(copied, stored, monkeypatch):
     assert tile.read_bytes() == whole
 
 
-def test_in_whatever_order_sets_are_kept_the_tiles_are_the_same(kept, tmp_path, stored):
+def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored):
     stored.keep(tmp_path, indices=sorted(stored.files, key=lambda index: (index * 37) % N_SETS))
     paths = list(kept.rglob("*.tile"))
     assert len(paths) == 2 * (LEVELS + 1), "two at the finest level, each alignment"
@@ -271,17 +271,17 @@ def test_in_whatever_order_sets_are_kept_the_tiles_are_the_same(kept, tmp_path, 
     assert n_bytes(tmp_path) == n_bytes(kept) > 0
 
 
-def test_without_tiles_a_picture_grows_from_the_records_in_bounded_steps(stored, tiles):
+def test_without_tiles_a_figure_is_made_from_records_in_bounded_steps(stored, tiles):
     reader, before = WaterfallReader(stored), stored.n_read
     first = reader.figure_of_sets(tiles("trigger"), stored, ALL)
     assert stored.n_read == before + SETS_AT_ONCE
     assert (len(first.rows), first.pending) == (SETS_AT_ONCE, len(stored.files) - SETS_AT_ONCE)
-    whole = drawn(stored, tiles("trigger"), ALL, reader)
+    whole = draw(stored, tiles("trigger"), ALL, reader)
     assert [row.first_set for row in whole.rows] == list(stored.files)
     assert stored.n_read == before + len(stored.files), "what was read once is remembered"
 
 
-def test_records_that_are_gone_are_named(stored, tiles):
+def test_missing_records_are_named(stored, tiles):
     its = Stored()
     its.files[3] = its.files[3].replace("set_", "gone_")
     picture = WaterfallReader(its).figure_of_sets(tiles("trigger"), its, replace(ALL, first=2, last=4))

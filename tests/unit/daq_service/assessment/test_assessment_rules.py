@@ -1,4 +1,4 @@
-"""What the configuration says of judging a transducer."""
+"""Rules that the configuration sets for the assessment of a transducer."""
 
 import pytest
 
@@ -14,14 +14,14 @@ def rules(**alarms):
     return rules_of(settings, baseline=planned("B", settings, None), position="B")
 
 
-def test_a_budget_of_all_is_shared_by_the_transducers_and_not_by_the_ultrasonic_one():
+def test_a_total_budget_is_shared_by_solitary_wave_transducers_alone():
     alone, shared = rules(false_alarms_per_sensor_year=0.1), rules(false_alarms_per_year=0.3)
     assert shared.false_alarms_per_sensor_year == pytest.approx(0.1)  # B, C and D
     assert shared.run_length == pytest.approx(alone.run_length)
     assert alone.run_length == pytest.approx(24.0 * 365.25 / 0.1)
 
 
-def test_what_was_hashed_before_there_was_a_budget_of_all_is_hashed_still():
+def test_a_configuration_without_a_total_budget_keeps_its_hash():
     assert "false_alarms_per_year" not in Settings().measured()["alarms"]
     assert (
         Settings(alarms={"false_alarms_per_year": 1.0}).measured()["alarms"]["false_alarms_per_year"] == 1.0

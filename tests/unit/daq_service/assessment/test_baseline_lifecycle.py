@@ -1,4 +1,4 @@
-"""What becomes of a baseline."""
+"""Lifecycle of a baseline."""
 
 import pytest
 
@@ -11,7 +11,7 @@ def renew(hours: float, first_set: int) -> None:
     renewed("B", settings, None, first_set=first_set, author="ann", because="a new sensor", utc_ns=0)
 
 
-def test_no_baseline_is_begun_that_could_give_no_limits() -> None:
+def test_a_baseline_too_short_for_limits_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"gives a baseline 14 sets, it needs 15 .*: begin a new test"):
         renew(7.0, 20)
     renew(7.5, 20)

@@ -1,4 +1,4 @@
-"""The recorder's verdicts name a cause, remember what it rests on, and raise the alarm that fits it."""
+"""Assessments have a diagnosis, keep its state across restarts, and raise the matching alarm."""
 
 import json
 from dataclasses import replace
@@ -76,8 +76,8 @@ def sets(change):
 
 def run(change, state=None, since=0, until=SETS):
     state = state or State()
-    for one in sets(change)[since:until]:
-        state, assessment = step(state, one, RULES)
+    for item in sets(change)[since:until]:
+        state, assessment = step(state, item, RULES)
     return state, assessment
 
 
@@ -100,49 +100,49 @@ def row_of(assessment):
 @pytest.mark.parametrize(
     ("cause", "raised"), [(OK, set()), (SENSOR, {"transducer_change"}), (WALL, {"wall_change"})]
 )
-def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
+def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     state, assessment = run(CHANGES[cause])
     assert assessment.cause.cause == cause
     found = wall_conditions("B", state, RULES, row_of(assessment))
-    assert {one.kind for one in found if one.present} == raised
-    for one in found:
-        if one.present:
-            assert f"{cause.upper()} (" in one.message
-            assert any("What to do:" in sentence for sentence in evidence(one.kind, one.proof))
+    assert {item.kind for item in found if item.present} == raised
+    for item in found:
+        if item.present:
+            assert f"{cause.upper()} (" in item.message
+            assert any("What to do:" in sentence for sentence in evidence(item.kind, item.proof))
 
 
 def origins(causes, n=5):
-    """Say after each set whether a change comes from elsewhere; it stands from the fourth one on."""
-    origin, told = Origin(), ""
+    """Return a letter for each set: `e` if the change is of another origin than the wall, else `w`."""
+    origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
         origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)
-        told += "e" if origin.elsewhere else "w"
-    return told
+        letters += "e" if origin.elsewhere else "w"
+    return letters
 
 
 KINDS = {"S": SENSOR, "E": ENVIRONMENT, "C": COUPLING, "W": WALL, "?": UNDETERMINED, "o": OK}
 
 
 @pytest.mark.parametrize(
-    ("causes", "told"),
+    ("causes", "expected"),
     [
-        # Before it stands each set says it.
+        # Before the change is persistent, each set determines the kind.
         ("?S?", "wew"),
-        # An unsure cause changes no alarm's kind, five sets running do.
+        # An undetermined diagnosis does not change the kind, five consecutive sets do.
         ("?SSS?S??S????S", "weeeeeeeeeeeee"),
         ("?SSS????SE?????", "weeeeeeeeeeeeew"),
         ("????SSSS?SSESSS", "wwwwwwwwwwwwwee"),
-        # What was asked twice does at once; a healthy set says nothing of a change that stands.
+        # A confirmed diagnosis does immediately; a healthy set does not affect a persistent change.
         ("?SSSW", "weeew"),
         ("????C?C??", "wwwweeeee"),
         ("?SSSoooooo", "weeeeeeeee"),
     ],
 )
-def test_an_alarm_changes_its_kind_only_for_a_cause_that_holds(causes, told):
-    assert origins(causes) == told
+def test_an_alarm_changes_its_kind_only_for_a_persistent_diagnosis(causes, expected):
+    assert origins(causes) == expected
 
 
-def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
+def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
     stood = []
 
     def noted(before, cause, **how):
@@ -151,15 +151,15 @@ def test_an_alarm_that_stood_before_the_set_holds_its_kind(monkeypatch):
 
     monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
     state, before = State(), []
-    for one in sets(CHANGES[SENSOR]):
+    for item in sets(CHANGES[SENSOR]):
         before.append(state.alarm.active)
-        state, _ = step(state, one, RULES)
+        state, _ = step(state, item, RULES)
     assert stood == before[LAST + 1 :]
     assert {True, False} == set(stood)
     assert state.origin == Origin(elsewhere=True)
 
 
-def test_a_restart_knows_where_a_change_comes_from():
+def test_a_restart_restores_the_origin_of_a_change():
     kept = json.loads(json.dumps(kept_origin(Origin(elsewhere=True, otherwise=3))))
     assert origin_of(kept, UNDETERMINED) == Origin(elsewhere=True, otherwise=3)
     # An earlier version kept none.
@@ -167,62 +167,62 @@ def test_a_restart_knows_where_a_change_comes_from():
     assert origin_of({}, UNDETERMINED) == Origin()
 
 
-def test_what_cannot_be_told_is_an_alarm_of_the_wall():
+def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
     row = replace(row_of(assessment), cause=UNDETERMINED)
-    assert [one.present for one in wall_conditions("B", state, RULES, row)] == [True, False]
-    # Without a cause, as of a folder of an earlier version, the message is as it was.
+    assert [item.present for item in wall_conditions("B", state, RULES, row)] == [True, False]
+    # Without a cause, as in a folder of an earlier version, the message is the old one.
     row = replace(row, cause=None, cause_probability=None, cause_told=None)
     wall, transducer = wall_conditions("B", state, RULES, row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.endswith("wall or transducer has changed; inspect")
 
 
-def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_says_so():
+def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     chart = replace(RULES, decides_by="chart")
     state, assessment = run(CHANGES[OK])
     quiet = replace(state.memory, alarming=False)
     healthy, row = replace(state, memory=quiet), row_of(assessment)
     named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
-    told = replace(row, cause=WALL, cause_probability=0.97)
+    wall_row = replace(row, cause=WALL, cause_probability=0.97)
     assert not wall_conditions("B", healthy, chart, row)[0].present
-    wall, transducer = wall_conditions("B", named, chart, told)
+    wall, transducer = wall_conditions("B", named, chart, wall_row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
     assert wall.proof["raised_by"] == "cause"
     assert any(
         "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
     )
-    # What is not sure any more does not take it back, only health does.
-    unsure = replace(told, cause=UNDETERMINED)
+    # An undetermined diagnosis does not reverse it, only a healthy set does.
+    unsure = replace(wall_row, cause=UNDETERMINED)
     assert wall_conditions("B", named, chart, unsure)[0].present
-    # Where k of n sets decide, they alone do.
-    assert not wall_conditions("B", named, RULES, told)[0].present
+    # If k of n sets decide, nothing else does.
+    assert not wall_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
-    by_chart = wall_conditions("B", alarming, chart, told)[0]
+    by_chart = wall_conditions("B", alarming, chart, wall_row)[0]
     assert by_chart.proof["raised_by"] == "chart"
     assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
 
 
-def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
+def test_a_restart_continues_from_the_stored_diagnosis_state():
     change = CHANGES[WALL]
-    state, whole = run(change)
+    state, uninterrupted = run(change)
     before = State()
-    for one in sets(change)[: LAST + 20]:
-        before, _ = step(before, one, RULES)
+    for item in sets(change)[: LAST + 20]:
+        before, _ = step(before, item, RULES)
     kept = json.loads(json.dumps(averages_of(before.diagnosis_state)))
     again = replace(before, diagnosis_state=restored_diagnosis_state(kept))
     resumed, assessment = run(change, state=again, since=LAST + 20)
-    assert assessment.cause == whole.cause
+    assert assessment.cause == uninterrupted.cause
     assert resumed.diagnosis_state == state.diagnosis_state
     assert restored_diagnosis_state({"average": [0.0]}) is None
-    # An earlier version kept no word on whether the last set was sure of a wall.
+    # An earlier version did not store whether the last set had a wall diagnosis.
     earlier = restored_diagnosis_state(kept | {"changes_count": kept["changes_count"][:2]})
     assert earlier == replace(before.diagnosis_state, likely=False)
 
 
-def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
+def test_a_set_without_an_incident_wave_width_keeps_the_diagnosis_state():
     state, _ = run(CHANGES[OK])
     design = state.baseline.causes
     memory, cause = cause_after(state.diagnosis_state, design, SETS, {"isw_fwhm_s": None}, suspicious=True)
@@ -230,7 +230,7 @@ def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
     assert cause_confirmed(memory, design, {"isw_fwhm_s": None}) == (memory, None)
 
 
-def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s_and_planned_sets_keep_that():
+def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     foot = 0.3 * np.array(STIFFNESS[-1])
     change = np.where(np.arange(SETS)[:, None] > LAST + 20, foot, 0.0)
     struck_after, found = LAST + 25, sets(change)

@@ -1,4 +1,4 @@
-"""From an echo to a row: no number without a back wall, clipping told, the V-shaped path taken off."""
+"""From an echo to a row: no value without a back wall, clipping flagged, V-path corrected."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def assessor(**ultrasound):
     return PulseEchoAssessor("A", small_settings(ultrasound=ultrasound))
 
 
-def assessed(made, volts, sequence=1, settings=None):
+def assess(made, volts, sequence=1, settings=None):
     echo = PulseEchoRecord(
         sequence=sequence,
         key=ShotKey(position="A", set_index=sequence, shot_index=0),
@@ -44,8 +44,8 @@ def assessed(made, volts, sequence=1, settings=None):
 
 def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assessed(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assess(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
     (row,) = found.thickness
     assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
     assert row.quality == "good"
@@ -57,11 +57,11 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     assert proof["roughness_rms_m"] < 0.05e-3
 
 
-def test_without_a_back_wall_there_is_a_flag_and_no_number():
+def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
     noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
-    found = assessed(made, noise_v, sequence=2)
+    found = assess(made, noise_v, sequence=2)
     (row,) = found.thickness
     assert row.quality == "bad"
     assert (row.travel_time_s, row.thickness_m, row.thickness_loss_m) == (None, None, None)
@@ -74,25 +74,25 @@ def test_without_a_back_wall_there_is_a_flag_and_no_number():
 @pytest.mark.parametrize(
     ("gain", "settings"), [(1.0, {"clipped_records": 1.0}), (4.0, {"clipped_records": 16.0}), (4.0, {})]
 )
-def test_clipping_is_told_whether_the_mean_shows_it_or_only_the_instrument_does(gain, settings):
+def test_clipping_is_flagged_with_and_without_an_instrument_flag(gain, settings):
     made = assessor()
-    assessed(made, echo_volts(6.35e-3, STRAIGHT))
-    found = assessed(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
+    assess(made, echo_volts(6.35e-3, STRAIGHT))
+    found = assess(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
     (row,) = found.thickness
     assert found.shot_flags == {2: ("clipped",)}
     assert row.quality == "suspect"
     assert found.n_valid == 1
-    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # what is cut off is cut alike on both sides
+    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # clipping is symmetric
     assert "clipped" in found.note
 
 
-def test_the_separation_of_the_elements_is_taken_off_where_it_is_known():
+def test_a_known_element_separation_is_corrected():
     echo = replace(STRAIGHT, element_separation_m=2.7e-3)
     read_m = {}
     for known_m in (0.0, 2.7e-3):
         made = assessor(element_separation_m=known_m)
-        assessed(made, echo_volts(6.35e-3, echo))
-        (row,) = assessed(made, echo_volts(3.8e-3, echo), sequence=2).thickness
+        assess(made, echo_volts(6.35e-3, echo))
+        (row,) = assess(made, echo_volts(3.8e-3, echo), sequence=2).thickness
         read_m[known_m] = row.thickness_m
         assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
     assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)

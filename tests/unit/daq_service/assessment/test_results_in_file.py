@@ -1,4 +1,4 @@
-"""Results in a file are a copy: what differs from the rows is told, and of the same extractor only."""
+"""The results in a file are a copy: differences from rows of the same extractor are reported."""
 
 import math
 from dataclasses import replace
@@ -36,20 +36,20 @@ def test_a_result_whose_record_is_lost_is_left_out():
     assert results(FEATURE, WALL, shots=[]) == {}
 
 
-def test_a_copy_is_like_its_rows_also_where_there_is_no_value():
+def test_a_copy_equals_its_rows_also_without_a_value():
     assert list(differing(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
 
 
-def test_a_value_a_row_too_few_and_one_too_many_are_told():
+def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
     copy = results(FEATURE, MEAN)
-    told = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
-    assert told == [
+    differences = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
+    assert differences == [
         "features, shot_id 41: tof_pp_s is nan, in the file 0.00033",
         "set_features, position B: there is no row",
         "thickness, position A: not in the file",
     ]
 
 
-def test_another_version_of_the_extractor_is_passed_over():
+def test_another_version_of_the_extractor_is_not_compared():
     other = replace(FEATURE, tof_pp_s=1.0, extractor_version="2")
     assert list(differing(results(FEATURE), results(other))) == []

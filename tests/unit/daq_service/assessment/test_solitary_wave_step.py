@@ -1,4 +1,4 @@
-"""The pure step: baseline, limits, outliers, holes and poor sets, from plain numbers."""
+"""The pure assessment step with plain numbers: baseline, limits, outliers, holes and poor sets."""
 
 from dataclasses import replace
 from functools import reduce
@@ -33,7 +33,7 @@ HEALTHY = 1.0 + 0.01 * np.random.default_rng(7).standard_normal((40, 5))
 SILENT = [("no_psw",)] * 3 + [()]
 
 
-def a_set(index, *, shift=0.0, quality="good", n_valid=4, n_taken=4, n_tried=4, flags=((),) * 4):
+def set_summary(index, *, shift=0.0, quality="good", n_valid=4, n_taken=4, n_tried=4, flags=((),) * 4):
     vector = HEALTHY[index % 40] + shift
     return SetOfShots(
         set_index=index,
@@ -49,24 +49,24 @@ def a_set(index, *, shift=0.0, quality="good", n_valid=4, n_taken=4, n_tried=4, 
 
 
 def states(sets, rules=RULES, state=None):
-    """Feed sets; every state and verdict."""
+    """Assess sets one after the other; return every state and assessment."""
     found = []
     state = state or State()
-    for one in sets:
-        state, assessment = step(state, one, rules)
+    for item in sets:
+        state, assessment = step(state, item, rules)
         found.append((state, assessment))
     return found
 
 
-def after(sets, rules=RULES):
+def state_after(sets, rules=RULES):
     return states(sets, rules)[-1]
 
 
 def baseline():
-    return [a_set(index) for index in range(LAST + 1)]
+    return [set_summary(index) for index in range(LAST + 1)]
 
 
-def test_until_its_last_set_the_baseline_is_being_recorded_and_nothing_is_judged():
+def test_sets_are_not_assessed_until_the_baseline_is_complete():
     for state, assessment in states(baseline()[:-1]):
         assert state.baseline is None
         assert assessment.in_baseline
@@ -74,8 +74,8 @@ def test_until_its_last_set_the_baseline_is_being_recorded_and_nothing_is_judged
         assert assessment.reason == "the baseline is being recorded"
 
 
-def test_the_last_set_closes_the_baseline_with_every_limit():
-    state, assessment = after(baseline())
+def test_the_last_set_completes_the_baseline_with_every_limit():
+    state, assessment = state_after(baseline())
     assert assessment.in_baseline
     fitted = state.baseline.fitted
     assert fitted.set_indices == tuple(range(LAST + 1))
@@ -87,7 +87,7 @@ def test_the_last_set_closes_the_baseline_with_every_limit():
 
 
 def test_the_baseline_closes_at_the_first_later_set_where_its_last_one_was_missed():
-    state, assessment = after([*baseline()[:-1], a_set(LAST + 1)])
+    state, assessment = state_after([*baseline()[:-1], set_summary(LAST + 1)])
     assert state.baseline.fitted.n == LAST
     assert not assessment.in_baseline
     assert assessment.distance_squared is not None
@@ -97,53 +97,53 @@ def test_poor_sets_are_left_out_of_the_baseline_and_counted():
     sets = baseline()
     sets[3] = replace(sets[3], quality="bad")
     sets[LAST] = replace(sets[LAST], values={**sets[LAST].values, FEATURE_NAMES[0]: None})
-    state, assessment = after(sets)
+    state, assessment = state_after(sets)
     assert state.n_left_out == 2
     assert state.baseline.fitted.n == LAST - 1
     assert assessment.reason == "left out of the baseline: too few valid shots"
 
 
-def test_too_few_healthy_sets_give_no_limit_and_say_why():
-    state, assessment = after([*baseline(), a_set(LAST + 1)], replace(RULES, minimum_sets=21))
+def test_too_few_healthy_sets_give_no_limit_but_a_reason():
+    state, assessment = state_after([*baseline(), set_summary(LAST + 1)], replace(RULES, minimum_sets=21))
     assert state.baseline.fitted is None
     assert "; it needs 21 (baseline.minimum_sets)" in state.baseline.reason
     assert (assessment.outlier, assessment.distance_squared) == (None, None)
     assert assessment.reason == state.baseline.reason
 
 
-def test_an_outlier_lies_beyond_the_deciding_limit_only():
-    sets = [*baseline(), a_set(LAST + 1, shift=0.012)]
-    assessment = after(sets)[1]
-    baseline_state = after(baseline())[0].baseline
+def test_an_outlier_exceeds_the_deciding_limit():
+    sets = [*baseline(), set_summary(LAST + 1, shift=0.012)]
+    assessment = state_after(sets)[1]
+    baseline_state = state_after(baseline())[0].baseline
     for limit, outlier in (
         ("f_predictive", assessment.distance_squared > baseline_state.limits["f_predictive"]),
         ("paper_mean_3sd", assessment.distance_squared > baseline_state.limits["paper_mean_3sd"]),
     ):
-        assert after(sets, replace(RULES, limit=limit))[1].outlier == outlier
+        assert state_after(sets, replace(RULES, limit=limit))[1].outlier == outlier
     limits = baseline_state.limits
     assert limits["paper_mean_3sd"] < assessment.distance_squared < limits["f_predictive"]
     assert sum(assessment.contributions.values()) == pytest.approx(assessment.distance_squared, rel=1e-12)
 
 
-def test_the_alarm_follows_its_rule_and_an_unjudged_set_neither_raises_nor_clears():
-    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=1.0) for k in range(2))]
-    assert not after(sets)[0].alarm.active
-    bad = a_set(LAST + 3, shift=1.0, quality="bad")
-    state, assessment = after([*sets, bad])
+def test_an_unassessed_set_neither_raises_nor_clears_the_alarm():
+    sets = [*baseline(), *(set_summary(LAST + 1 + k, shift=1.0) for k in range(2))]
+    assert not state_after(sets)[0].alarm.active
+    bad = set_summary(LAST + 3, shift=1.0, quality="bad")
+    state, assessment = state_after([*sets, bad])
     assert (assessment.outlier, assessment.reason) == (None, "too few")
     assert not state.alarm.active
-    assert after([*sets, bad, a_set(LAST + 4, shift=1.0)])[0].alarm.active
+    assert state_after([*sets, bad, set_summary(LAST + 4, shift=1.0)])[0].alarm.active
 
 
-def test_silent_sets_running_make_a_hole_and_a_gap_does_not_interrupt():
-    silent = [a_set(k, flags=SILENT) for k in (0, 2)]
-    gap = a_set(1, n_taken=0, n_tried=0, n_valid=0, flags=())
-    assert not after(silent[:1])[0].hole.hole
-    assert after([silent[0], gap, silent[1]])[0].hole.hole
+def test_consecutive_silent_sets_are_a_hole_also_across_a_gap():
+    silent = [set_summary(k, flags=SILENT) for k in (0, 2)]
+    gap = set_summary(1, n_taken=0, n_tried=0, n_valid=0, flags=())
+    assert not state_after(silent[:1])[0].hole.hole
+    assert state_after([silent[0], gap, silent[1]])[0].hole.hole
 
 
-def test_a_set_without_a_record_has_no_verdict_but_counts_as_poor():
-    state, assessment = after([a_set(0, n_taken=0, n_valid=0, flags=())])
+def test_a_set_without_a_record_has_no_assessment_but_counts_as_poor():
+    state, assessment = state_after([set_summary(0, n_taken=0, n_valid=0, flags=())])
     assert assessment is None
     assert state == State(poor_sets=1)
 
@@ -151,14 +151,14 @@ def test_a_set_without_a_record_has_no_verdict_but_counts_as_poor():
 @pytest.mark.parametrize(
     ("n_valid", "n_tried", "poor"), [(2, 4, 2), (2, 3, 1), (3, 4, 0), (3, 3, 0)], ids=str
 )
-def test_poor_sets_run_unless_valid_shots_suffice_and_a_set_cut_short_says_nothing(n_valid, n_tried, poor):
+def test_consecutive_poor_sets_are_counted_and_an_incomplete_set_is_ignored(n_valid, n_tried, poor):
     state = State(poor_sets=1)
-    assert states([a_set(5, n_valid=n_valid, n_tried=n_tried)], state=state)[-1][0].poor_sets == poor
+    assert states([set_summary(5, n_valid=n_valid, n_tried=n_tried)], state=state)[-1][0].poor_sets == poor
 
 
-def test_a_person_s_word_forgets_what_retired_the_transducer_and_nothing_else():
-    state = after(
-        [*baseline(), *(a_set(LAST + 1 + k, shift=1.0, flags=SILENT, n_valid=1) for k in range(3))]
+def test_a_command_resets_only_the_reason_of_the_disabled_transducer():
+    state = state_after(
+        [*baseline(), *(set_summary(LAST + 1 + k, shift=1.0, flags=SILENT, n_valid=1) for k in range(3))]
     )[0]
     assert state.hole.hole
     assert state.poor_sets == 3
@@ -167,8 +167,8 @@ def test_a_person_s_word_forgets_what_retired_the_transducer_and_nothing_else():
     assert (again.baseline, again.alarm) == (state.baseline, state.alarm)
 
 
-def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
-    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.03 * k) for k in range(8))]
+def test_a_restart_with_the_same_sets_has_the_same_state():
+    sets = [*baseline(), *(set_summary(LAST + 1 + k, shift=0.03 * k) for k in range(8))]
     live = states(sets)
     for cut in (0, 5, LAST, LAST + 1, len(sets) - 1):
         fed = reduce(lambda state, one: step(state, one, RULES)[0], sets[:cut], State())
@@ -184,36 +184,36 @@ def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
             )
 
 
-def test_a_set_without_a_vector_leaves_the_chart_as_it_was():
-    judged = [*baseline(), a_set(LAST + 1, shift=0.03)]
-    state, assessment = after(judged)
-    assert state.memory == assessment.memory != after(baseline())[0].memory
-    for poor in (a_set(LAST + 2, quality="bad"), a_set(LAST + 2, n_taken=0, n_valid=0, flags=())):
-        assert after([*judged, poor])[0].memory == state.memory
+def test_a_set_without_a_vector_does_not_change_the_chart():
+    assessed_sets = [*baseline(), set_summary(LAST + 1, shift=0.03)]
+    state, assessment = state_after(assessed_sets)
+    assert state.memory == assessment.memory != state_after(baseline())[0].memory
+    for poor in (set_summary(LAST + 2, quality="bad"), set_summary(LAST + 2, n_taken=0, n_valid=0, flags=())):
+        assert state_after([*assessed_sets, poor])[0].memory == state.memory
 
 
-def test_what_was_judged_and_stored_is_taken_as_it_is_and_goes_on():
-    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
+def test_a_stored_assessment_is_used_without_a_new_computation():
+    sets = [*baseline(), *(set_summary(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
     live = states(sets)
-    state = after(baseline())[0]
-    state, told = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
-    assert told is live[-2][1]
+    state = state_after(baseline())[0]
+    state, assessment = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
+    assert assessment is live[-2][1]
     assert step(state, sets[-1], RULES)[1] == live[-1][1]
 
 
-def test_the_chart_alarms_on_a_change_that_lasts_and_ends_when_it_is_over():
-    changed = [a_set(LAST + 1 + k, shift=0.1) for k in range(15)]
+def test_the_chart_raises_an_alarm_during_a_persistent_change():
+    changed = [set_summary(LAST + 1 + k, shift=0.1) for k in range(15)]
     alarming = [state.memory.alarming for state, _ in states([*baseline(), *changed])[LAST + 1 :]]
     first = alarming.index(True)
     assert 2 < first < 14  # one set alone is cut back
     assert all(alarming[first:])
-    over = [a_set(LAST + 16 + k) for k in range(25)]
-    assert not after([*baseline(), *changed, *over])[0].memory.alarming
+    over = [set_summary(LAST + 16 + k) for k in range(25)]
+    assert not state_after([*baseline(), *changed, *over])[0].memory.alarming
 
 
 def test_a_baseline_of_a_version_without_chart_keeps_its_two_limits():
-    state, assessment = after(
-        [*baseline(), a_set(LAST + 1)], replace(RULES, run_length=None, limit="default")
+    state, assessment = state_after(
+        [*baseline(), set_summary(LAST + 1)], replace(RULES, run_length=None, limit="default")
     )
     assert state.baseline.limits.keys() == {"f_predictive", "paper_mean_3sd"}
     assert (state.memory, state.baseline.design, assessment.outlier) == (None, None, False)
@@ -225,23 +225,23 @@ def test_a_limit_is_added_by_its_entry_alone(monkeypatch):
     )
     monkeypatch.setattr("analysis.statistics.named_limits.LIMITS", {**LIMITS, "twice": twice})
     monkeypatch.setattr("daq_service.assessment.solitary_wave_step.LIMITS", {**LIMITS, "twice": twice})
-    sets = [*baseline(), a_set(LAST + 1, shift=0.02)]
-    state, assessment = after(sets, replace(RULES, limit="twice"))
+    sets = [*baseline(), set_summary(LAST + 1, shift=0.02)]
+    state, assessment = state_after(sets, replace(RULES, limit="twice"))
     assert state.baseline.limits["twice"] == 2 * state.baseline.limits["default"]
     assert assessment.outlier is False
-    assert after(sets)[1].outlier is True
+    assert state_after(sets)[1].outlier is True
 
 
 def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
-    """As of records that are played back again and again."""
+    """Records that are played back repeatedly have such features."""
     name = FEATURE_NAMES[0]
     stuck = [
-        replace(one, values=one.values | {name: 1.0 if one.set_index % 4 else one.values[name]})
-        for one in baseline()
+        replace(item, values=item.values | {name: 1.0 if item.set_index % 4 else item.values[name]})
+        for item in baseline()
     ]
-    state, _ = after(stuck)
-    told = readiness_of(state, RULES)
-    assert (told["named"], told["n"]) == ([], LAST + 1)
-    assert told["advice"].endswith(f"; {ALIKE}")
-    state, assessment = step(state, a_set(LAST + 1, shift=1.0), RULES)
+    state, _ = state_after(stuck)
+    quality = readiness_of(state, RULES)
+    assert (quality["named"], quality["n"]) == ([], LAST + 1)
+    assert quality["advice"].endswith(f"; {ALIKE}")
+    state, assessment = step(state, set_summary(LAST + 1, shift=1.0), RULES)
     assert assessment.outlier

@@ -1,4 +1,4 @@
-"""How a position stands."""
+"""Status of a position."""
 
 from dataclasses import replace
 
@@ -37,42 +37,47 @@ SHELVED = replace(ALARM, suppressed="shelved")
 OUT_OF_SERVICE = replace(ALARM, suppressed="out_of_service")
 
 
-def judged(outlier):
+def assessment_row(outlier):
     return AssessmentRow(
         set_index=0, position="B", due_h=0.0, in_baseline=False, limit_name="f_predictive", outlier=outlier
     )
 
 
 @pytest.mark.parametrize(
-    ("last_set", "assessment", "alarms", "word"),
+    ("last_set", "assessment", "alarms", "status"),
     [
         (None, None, [], "no_data"),
-        # It was reinstated after this set: what it is now is told by its alarms.
-        (replace(SET, state="retired"), judged(False), [], "normal"),
-        (SET, judged(False), [ALARM], "alarm"),
-        (SET, judged(False), [ALARM, replace(ALARM, kind="hole")], "retired"),
-        (SET, judged(True), [], "outlier"),
-        (SET, judged(False), [SHELVED], "shelved"),
+        # It was enabled after this set: its alarms determine the present status.
+        (replace(SET, state="retired"), assessment_row(False), [], "normal"),
+        (SET, assessment_row(False), [ALARM], "alarm"),
+        (SET, assessment_row(False), [ALARM, replace(ALARM, kind="hole")], "retired"),
+        (SET, assessment_row(True), [], "outlier"),
+        (SET, assessment_row(False), [SHELVED], "shelved"),
         (ECHO_SET, None, [SHELVED], "shelved"),
-        (SET, judged(True), [SHELVED, OUT_OF_SERVICE], "out_of_service"),
-        (SET, judged(False), [OUT_OF_SERVICE, ALARM], "alarm"),
-        (SET, judged(False), [replace(OUT_OF_SERVICE, kind="retired")], "retired"),
-        (SET, judged(None), [replace(SHELVED, kind="not_judged")], "not_judged"),
-        (SET, judged(False), [], "normal"),
-        (SET, replace(judged(None), in_baseline=True), [], "learning"),
-        (SET, judged(None), [], "not_judged"),
-        (SET, judged(None), [replace(ALARM, kind="not_judged")], "not_judged"),
-        (SET, judged(None), [replace(ALARM, kind="not_judged"), replace(ALARM, kind="no_data")], "alarm"),
+        (SET, assessment_row(True), [SHELVED, OUT_OF_SERVICE], "out_of_service"),
+        (SET, assessment_row(False), [OUT_OF_SERVICE, ALARM], "alarm"),
+        (SET, assessment_row(False), [replace(OUT_OF_SERVICE, kind="retired")], "retired"),
+        (SET, assessment_row(None), [replace(SHELVED, kind="not_judged")], "not_judged"),
+        (SET, assessment_row(False), [], "normal"),
+        (SET, replace(assessment_row(None), in_baseline=True), [], "learning"),
+        (SET, assessment_row(None), [], "not_judged"),
+        (SET, assessment_row(None), [replace(ALARM, kind="not_judged")], "not_judged"),
+        (
+            SET,
+            assessment_row(None),
+            [replace(ALARM, kind="not_judged"), replace(ALARM, kind="no_data")],
+            "alarm",
+        ),
         (SET, None, [], "learning"),
         (ECHO_SET, None, [], "normal"),
     ],
 )
-def test_word_for_a_position(last_set, assessment, alarms, word):
+def test_a_position_has_the_expected_status(last_set, assessment, alarms, status):
     method = SET.method if last_set is None else last_set.method
     last = LatestRows(
         position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms
     )
-    assert status_of(last) == word
+    assert status_of(last) == status
 
 
 def test_interval_follows_the_phases():

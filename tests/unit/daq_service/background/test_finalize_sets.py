@@ -1,4 +1,4 @@
-"""Files are made beside the line: what fails is told, tried again, and costs nothing."""
+"""Set files are made in the background: an error is reported and retried and costs no set."""
 
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -13,8 +13,8 @@ from daq_service.background import finalize_sets as module
 from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
 
 
-class Broken(Executor):
-    """A worker that was killed."""
+class BrokenExecutor(Executor):
+    """Worker double that was killed."""
 
     def submit(self, work, /, *arguments, **named):
         future = Future()
@@ -35,7 +35,7 @@ def files(folder):
     return sorted(path.name for path in (folder / "sets").iterdir())
 
 
-def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
+def test_sets_get_their_files_and_leave_the_journal(archive, tmp_path):
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
         making.put(index)
@@ -49,7 +49,7 @@ def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
 @pytest.mark.parametrize(
     "refusal", [OSError(28, "No space left on device"), KeyError("what nobody foresaw")], ids=repr
 )
-def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypatch, refusal):
+def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monkeypatch, refusal):
     now_s = [0.0]
     making = SetFinalizer(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
 
@@ -71,7 +71,7 @@ def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypa
 
 
 def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
-    workers = [Broken(), AtOnce()]
+    workers = [BrokenExecutor(), AtOnce()]
     making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
     making.put(SET_INDEX)
     making.work()
@@ -81,7 +81,7 @@ def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
     assert (len(files(tmp_path)), making.waits) == (1, False)
 
 
-def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
+def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
     archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
@@ -90,7 +90,7 @@ def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
     assert (making.waits, making.trouble) == (False, "")
 
 
-def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, tmp_path):
+def test_a_set_with_corrupt_frames_stays_in_the_journal_and_is_reported(archive, tmp_path):
     (segment,) = (tmp_path / "journal").iterdir()
     content = bytearray(segment.read_bytes())
     content[content.find(make_set().shots[0].waveform.counts.tobytes()) + 5] ^= 1

@@ -1,4 +1,4 @@
-"""Stored sets are read while nothing is due: one at a time, never before a strike; damage is an alarm."""
+"""Stored sets are verified in idle time, one at a time, never before a strike; corruption raises an alarm."""
 
 import math
 from concurrent.futures import Executor, Future
@@ -22,8 +22,8 @@ from daq_service.recording import session
 LONG_S = 1000.0
 
 
-class Reading(AtOnce):
-    """Reads in this thread, and notes what."""
+class ReadingExecutor(AtOnce):
+    """Executor double that reads in this thread and records the files."""
 
     def __init__(self):
         self.files = []
@@ -35,17 +35,17 @@ class Reading(AtOnce):
 
 @pytest.fixture
 def stored(tmp_path):
-    """Files of three sets by their references."""
+    """Return the files of three sets by their references."""
     archive = FiledArchive(tmp_path)
     records = [other_set(make_set(), SET_INDEX + n) for n in range(3)]
     return [archive.store_set(record).file for record in records]
 
 
-class Idle:
-    """An idle check on a folder, at a clock of its own."""
+class IdleBench:
+    """Idle check of a folder with its own clock."""
 
     def __init__(self, folder, worker=None):
-        self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
+        self.now_s, self.lost, self.worker = 0.0, {}, worker or ReadingExecutor()
         self.compaction = SetFinalizer(folder, FiledArchive(folder), start=lambda: self.worker)
         self.trouble, self.noted = None, {}
         self.check = IdleVerification(
@@ -64,7 +64,7 @@ class Idle:
         self.noted[set_index] = sha256
 
     def steps(self, count, free_s=LONG_S):
-        """So many files, each at its time, and what is wrong then."""
+        """Check a number of files, each at its time; return the corrupt ones."""
         for _ in range(count):
             self.check.work(free_s)
             self.check.work(free_s)
@@ -72,8 +72,8 @@ class Idle:
         return self.check.damaged
 
 
-def test_one_file_after_the_other_is_read_and_then_again(tmp_path, stored):
-    idle = Idle(tmp_path)
+def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
+    idle = IdleBench(tmp_path)
     assert idle.steps(7) == {}
     assert [f"sets/{name}" for name in idle.worker.files] == [*stored, *stored, stored[0]]
     idle.check.work(LONG_S)
@@ -82,8 +82,8 @@ def test_one_file_after_the_other_is_read_and_then_again(tmp_path, stored):
     assert len(idle.worker.files) == 8, "none before its time"
 
 
-def test_nothing_is_read_before_a_set_is_due_or_while_one_wants_its_file(tmp_path, stored, monkeypatch):
-    idle = Idle(tmp_path)
+def test_no_file_is_verified_before_a_due_set_or_during_finalization(tmp_path, stored, monkeypatch):
+    idle = IdleBench(tmp_path)
     idle.steps(3, free_s=QUIET_S)
     monkeypatch.setattr(SetFinalizer, "waits", True)
     idle.steps(3)
@@ -94,10 +94,8 @@ def test_nothing_is_read_before_a_set_is_due_or_while_one_wants_its_file(tmp_pat
 
 
 @pytest.mark.parametrize("trouble", [CatalogueBusyError("locked"), CatalogueDamagedError("page 3")])
-def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_test(
-    tmp_path, stored, trouble
-):
-    idle = Idle(tmp_path)
+def test_a_locked_catalogue_delays_the_check_but_not_the_test(tmp_path, stored, trouble):
+    idle = IdleBench(tmp_path)
     idle.trouble = trouble
     assert idle.steps(3) == {}
     assert idle.worker.files == []
@@ -106,9 +104,9 @@ def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_t
     assert [f"sets/{name}" for name in idle.worker.files] == stored
 
 
-def test_a_sound_file_of_which_nobody_noted_the_sha256_gets_it(tmp_path, stored):
-    """Of an older folder's year of files none was noted; what is damaged is not blessed."""
-    idle = Idle(tmp_path)
+def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
+    """An older folder has no digests; a corrupt file must not get one."""
+    idle = IdleBench(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
     damaged.write_bytes(damaged.read_bytes()[:-2000])
     idle.check.work(LONG_S)
@@ -120,8 +118,8 @@ def test_a_sound_file_of_which_nobody_noted_the_sha256_gets_it(tmp_path, stored)
     assert idle.noted == dict(zip(range(SET_INDEX + 1, SET_INDEX + 3), digests, strict=True))
 
 
-def test_damage_is_known_until_it_is_mended(tmp_path, stored):
-    idle, path = Idle(tmp_path), tmp_path / stored[1]
+def test_corruption_is_reported_until_it_is_repaired(tmp_path, stored):
+    idle, path = IdleBench(tmp_path), tmp_path / stored[1]
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     assert list(idle.steps(3)) == [stored[1]]
@@ -133,26 +131,26 @@ def test_damage_is_known_until_it_is_mended(tmp_path, stored):
     assert idle.steps(3) == {}
 
 
-def test_what_an_earlier_process_found_is_looked_at_first_and_stands_until_then(tmp_path, stored):
-    idle = Idle(tmp_path)
+def test_corrupt_files_of_an_earlier_process_are_checked_first(tmp_path, stored):
+    idle = IdleBench(tmp_path)
     idle.check.begin({stored[2]: "damaged", "sets/gone_by_now.h5": "damaged"})
     assert idle.check.damaged == {stored[2]: "damaged"}
     assert idle.steps(1) == {}
     assert idle.worker.files == [stored[2].removeprefix("sets/")]
 
 
-def test_a_worker_that_dies_is_no_damage(tmp_path, stored):
-    class Dying(Executor):
+def test_a_killed_worker_is_no_corruption(tmp_path, stored):
+    class DyingExecutor(Executor):
         def submit(self, work, /, *arguments, **named):
             future = Future()
             future.set_exception(BrokenProcessPool("killed"))
             return future
 
-    assert Idle(tmp_path, Dying()).steps(3) == {}
+    assert IdleBench(tmp_path, DyingExecutor()).steps(3) == {}
 
 
-class Told:
-    """Stands for an idle check that knows of damage."""
+class IdleCheckDouble:
+    """Idle check double with given corruption."""
 
     def __init__(self, damaged=()):
         self.damaged, self.known, self.free_s = dict(damaged), None, []
@@ -168,35 +166,35 @@ def alarms(line):
     return [(row.severity, row.state) for row in line.rows("alarms") if row.kind == "data_damaged"]
 
 
-def test_damage_is_an_alarm_at_the_start_and_clears_when_it_is_mended(tmp_path):
+def test_corruption_raises_an_alarm_that_clears_after_the_repair(tmp_path):
     line = Line(tmp_path)
-    first = Told({"sets/one.h5": "is missing"})
+    first = IdleCheckDouble({"sets/one.h5": "is missing"})
     line.run(idle_check=first)
     assert (alarms(line), first.known) == ([("high", "unacknowledged")], {})
     (alarm,) = (row for row in line.rows("alarms") if row.kind == "data_damaged")
     assert alarm.message.startswith("sets/one.h5 is missing; solimon verify names all of it")
-    told = [row.payload for row in line.rows("events") if row.kind == "data_damaged"]
-    assert told == [{"file": "sets/one.h5", "told": "is missing"}]
+    payloads = [row.payload for row in line.rows("events") if row.kind == "data_damaged"]
+    assert payloads == [{"file": "sets/one.h5", "told": "is missing"}]
     assert set(first.free_s) == {-math.inf}, "simulated time has no idle hours"
-    second = Told()
+    second = IdleCheckDouble()
     line.run(idle_check=second)
     assert alarms(line) == [("high", "returned_unacknowledged")]
     assert second.known == {"sets/one.h5": "is missing"}
 
 
-def test_in_real_time_it_is_told_how_long_nothing_is_due(tmp_path, monkeypatch):
+def test_in_real_time_the_check_gets_the_free_time_until_the_next_set(tmp_path, monkeypatch):
     monkeypatch.setattr(wall, "IDLE_INTERVAL_S", 60.0)
     settings = memory_settings(clock={"kind": "wall"})
-    line, told = Line(tmp_path, settings=settings, listen_every_s=0.0), Told()
+    line, check = Line(tmp_path, settings=settings, listen_every_s=0.0), IdleCheckDouble()
     clock = Machine(parse_utc(settings.clock.epoch)).clock(None)
-    assert line.run(clock=clock, idle_check=told)
-    assert max(told.free_s) == pytest.approx(1800.0, abs=1.0)  # half an hour between sets; a strike's rest
-    assert min(told.free_s) <= 0.0
+    assert line.run(clock=clock, idle_check=check)
+    assert max(check.free_s) == pytest.approx(1800.0, abs=1.0)  # half an hour between sets; a strike's rest
+    assert min(check.free_s) <= 0.0
 
 
-def test_a_start_reads_few_files_of_an_older_folder_and_leaves_the_others_to_its_idle_hours():
-    """A year's files take hours, and no heartbeat comes while a start reads."""
+def test_a_start_reads_few_files_of_an_older_folder_and_the_others_in_idle_time():
+    """The files of a year take hours, and a start sends no heartbeat while it reads."""
     catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
     archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
-    session._note_digests(catalogue, archive, lambda *told: noted.append(told))
+    session._note_digests(catalogue, archive, lambda *values: noted.append(values))
     assert noted == [(index, f"sets/{index}.h5", f"of sets/{index}.h5") for index in range(17_400, 17_500)]

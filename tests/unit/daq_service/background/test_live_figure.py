@@ -22,7 +22,7 @@ def shot(counts: np.ndarray, position: str = "B") -> Shot:
 
 
 @pytest.mark.parametrize("dtype", [np.int16, np.int32])
-def test_a_picture_holds_header_marks_and_the_samples_bit_for_bit(tmp_path: Path, dtype: type) -> None:
+def test_a_live_figure_has_header_marks_and_exact_samples(tmp_path: Path, dtype: type) -> None:
     (tmp_path / "live").mkdir()
     counts = np.array([-32768, -1, 0, 1, 32767], dtype=dtype)
     features = ShotFeatures(isw_time_s=5e-5, isw_amplitude_v=2.5, flags=("noisy",))
@@ -40,7 +40,7 @@ def test_a_picture_holds_header_marks_and_the_samples_bit_for_bit(tmp_path: Path
     assert header["dtype"] == np.dtype(dtype).name
 
 
-def test_a_picture_is_replaced_at_most_ten_times_a_second(tmp_path: Path) -> None:
+def test_a_live_figure_is_replaced_at_most_ten_times_per_second(tmp_path: Path) -> None:
     now = [1_000_000_000]
     live = LiveFigure(tmp_path, "simulated", mono_ns=lambda: now[0])
     assert live.due("B")
@@ -51,8 +51,8 @@ def test_a_picture_is_replaced_at_most_ten_times_a_second(tmp_path: Path) -> Non
     assert live.due("B")
 
 
-def test_on_a_slow_disk_pictures_are_rarer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two positions, 4 ms a picture: each has one in 0.8 s, so both take a hundredth of the time."""
+def test_on_a_slow_disk_live_figures_are_rarer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two positions, 4 ms per figure: each gets one in 0.8 s, so both take 1 % of the time."""
     now = [1_000_000_000]
     written = Path.write_bytes
 
@@ -70,7 +70,7 @@ def test_on_a_slow_disk_pictures_are_rarer(tmp_path: Path, monkeypatch: pytest.M
     assert live.due("B")
 
 
-def test_a_disk_that_refuses_costs_the_picture_only(
+def test_a_write_error_costs_only_the_live_figure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def full(self: Path, data: bytes) -> int:

@@ -1,4 +1,4 @@
-"""Tiles grow beside the line: what fails with them is a line of the log, and costs neither set nor test."""
+"""Tiles are written in the background: an error is logged and costs neither set nor test."""
 
 import logging
 import shutil
@@ -31,7 +31,7 @@ RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
 
 
 class Line:
-    """A folder with some sets, and what adds them to tiles on a clock of its own."""
+    """Folder with some sets, and the task that adds them to tiles, on its own clock."""
 
     def __init__(self, folder):
         self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
@@ -55,7 +55,7 @@ class Line:
         return partial(tile_record, self.folder, "ab/1", anchors_of(results)) if self.room else None
 
     def file(self, *, room=True):
-        """Have all sets get their files; with no room they get no tiles."""
+        """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for index in self.files:
             self.compaction.put(index)
@@ -70,7 +70,7 @@ class Line:
         return [index for index in self.files if self.tiles().has_set(index)]
 
     def work(self, free_s=0.0):
-        """Have one turn done, and taken back."""
+        """Run the task once and collect its result."""
         self.tiling.work(free_s)
         self.tiling.work(0.0)
 
@@ -83,7 +83,7 @@ def line(tmp_path):
     line.archive.close()
 
 
-def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
+def test_a_set_with_a_file_gets_tiles_without_free_time(line):
     line.file()
     assert line.kept() == list(line.files)
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
@@ -93,7 +93,7 @@ def test_a_set_that_has_its_file_is_in_the_tiles_though_no_time_is_free(line):
         np.testing.assert_array_equal(tiles.row(0, SET_INDEX).planes, expected)
 
 
-def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
+def test_in_idle_time_older_sets_get_tiles_newest_first(line):
     line.file(room=False)
     line.work(free_s=QUIET_S)
     assert line.kept() == [], "a set is due soon"
@@ -106,7 +106,7 @@ def test_while_nothing_is_due_older_sets_follow_the_newest_first(line):
     assert line.kept() == list(line.files)
 
 
-def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
+def test_no_tile_is_made_while_set_files_are_pending(line):
     line.compaction.put(SET_INDEX)
     assert line.compaction.waits
     line.read.clear()
@@ -114,7 +114,7 @@ def test_while_files_are_to_be_made_nothing_is_read_for_tiles(line):
     assert line.read == []
 
 
-def test_a_damaged_tile_is_made_again_in_the_next_round(line):
+def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     line.file()
     (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
     content = bytearray(path.read_bytes())
@@ -127,15 +127,15 @@ def test_a_damaged_tile_is_made_again_in_the_next_round(line):
     assert line.kept() == list(line.files)
 
 
-def test_a_folder_that_takes_no_tile_is_told_once_and_costs_nothing(line, caplog):
+def test_a_folder_that_cannot_hold_tiles_is_logged_once_and_stops_no_set(line, caplog):
     (line.folder / TILES_FOLDER).write_bytes(b"no folder")
     with caplog.at_level(logging.WARNING):
         line.file()
         for _ in line.files:
             line.work(free_s=QUIET_S + 1)
             line.now_s += EVERY_S
-    told = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
-    assert len(told) == 2, "once by the making of files, once by the rounds"
+    warnings = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
+    assert len(warnings) == 2, "once by the making of files, once by the rounds"
     assert line.compaction.trouble == ""
 
 
@@ -146,7 +146,7 @@ def test_a_full_volume_gets_no_tiles(line):
     assert not (line.folder / TILES_FOLDER).exists()
 
 
-def test_a_set_beside_the_plan_gets_no_tiles(line):
+def test_an_unscheduled_set_gets_no_tiles(line):
     record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
     assert tile_record(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
@@ -158,32 +158,32 @@ def life(tmp_path_factory):
 
 
 @pytest.fixture
-def older(life, tmp_path):
-    """A copy of a folder of an earlier version: without tiles."""
+def copy_of_older_version(life, tmp_path):
+    """Return a copy of a folder of an earlier version, without tiles."""
     folder = tmp_path / "copy"
     shutil.copytree(life.folder, folder)
     shutil.rmtree(folder / TILES_FOLDER, ignore_errors=True)
     return replace(life, folder=folder)
 
 
-def test_rebuild_makes_the_tiles_of_an_older_folder(older):
-    before = table_rows(older.folder)
-    lose_catalogue(older.folder)
-    assert rebuild(older.folder, features_of=older.features_of).warnings == []
-    assert table_rows(older.folder) == before
-    with open_catalogue(older.folder) as catalogue:
+def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
+    before = table_rows(copy_of_older_version.folder)
+    lose_catalogue(copy_of_older_version.folder)
+    assert rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings == []
+    assert table_rows(copy_of_older_version.folder) == before
+    with open_catalogue(copy_of_older_version.folder) as catalogue:
         name = experiment_identity(catalogue.experiment_row())
-        for path in set_files(older.folder).values():
+        for path in set_files(copy_of_older_version.folder).values():
             record = read_set(path)
             anchors = anchors_of(results_in(catalogue, record.set_index))
             for place in {taken.key.position for taken in record.records}:
-                tiles = tiles_of(older.folder, name, record, place, "first")
+                tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
                 expected = planes_of_set(record, place, "first", anchors, tiles.frame)
                 np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
 
 
-def test_rebuild_goes_on_where_old_tiles_cannot_be_removed(older):
-    (older.folder / TILES_FOLDER).write_bytes(b"no folder")
-    lose_catalogue(older.folder)
-    (warning,) = rebuild(older.folder, features_of=older.features_of).warnings
+def test_rebuild_continues_if_old_tiles_cannot_be_removed(copy_of_older_version):
+    (copy_of_older_version.folder / TILES_FOLDER).write_bytes(b"no folder")
+    lose_catalogue(copy_of_older_version.folder)
+    (warning,) = rebuild(copy_of_older_version.folder, features_of=copy_of_older_version.features_of).warnings
     assert "not in the waterfall's tiles: the old tiles stay" in warning

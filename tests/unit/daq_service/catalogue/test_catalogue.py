@@ -1,4 +1,4 @@
-"""The catalogue stores a set in one piece and gives rows that are ready for JSON."""
+"""The catalogue stores a set in one transaction and returns rows that are ready for JSON."""
 
 import json
 import math
@@ -89,7 +89,7 @@ def set_row(index, position, state="done", n_taken=2, **changes):
 
 
 def stored(row):
-    """Row for SQL."""
+    """Return the row as SQL values."""
     return storable(replace(row, id=1))
 
 
@@ -197,7 +197,7 @@ def baseline_row(name="B-1", position="B"):
 
 
 def commit_of(index, positions="BC"):
-    """A set of two shots a position, its mean feature, verdict and event; A has an echo."""
+    """Return a commit of two shots per position with mean feature, assessment and event; A has an echo."""
     rows = {name: [] for name in ("sets", "shots", "features", "assessments", "thickness", "events")}
     for number, position in enumerate(positions):
         sequence = 100 * index + 10 * number + 1
@@ -236,19 +236,19 @@ def test_an_empty_file_has_no_data_yet(tmp_path):
 
 
 @pytest.mark.parametrize("writer", [False, True])
-def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
+def test_a_file_that_is_no_database_is_corrupt(tmp_path, writer):
     (tmp_path / "catalogue.sqlite").write_bytes(b"not a database at all" * 100)
     with pytest.raises(CatalogueDamagedError, match=r"catalogue\.sqlite"):
         open_catalogue(tmp_path, writer=writer)
 
 
 @pytest.mark.parametrize("often", [1, 10**9])
-def test_a_catalogue_in_the_making_is_read_again_and_a_damaged_one_is_told(tmp_path, monkeypatch, often):
+def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp_path, monkeypatch, often):
     begin(tmp_path).close()
     found = iter(range(often))
 
-    class InTheMaking(sqlite3.Connection):
-        """Whose schema is at odds as often as a reader looks."""
+    class IncompleteCatalogue(sqlite3.Connection):
+        """Connection whose schema is inconsistent for a number of reads."""
 
         def execute(self, sql, *values):
             if "sqlite_master" in sql and next(found, None) is not None:
@@ -257,7 +257,7 @@ def test_a_catalogue_in_the_making_is_read_again_and_a_damaged_one_is_told(tmp_p
                 raise error
             return super().execute(sql, *values)
 
-    monkeypatch.setattr(connection.sqlite3, "connect", partial(sqlite3.connect, factory=InTheMaking))
+    monkeypatch.setattr(connection.sqlite3, "connect", partial(sqlite3.connect, factory=IncompleteCatalogue))
     if often == 1:
         open_catalogue(tmp_path).close()
         assert next(found, None) is None
@@ -279,7 +279,7 @@ def test_a_network_folder_is_refused(tmp_path, monkeypatch):
         open_catalogue(tmp_path, writer=True)
 
 
-def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, writer):
+def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path, writer):
     other = Settings(plate={"thickness_m": 0.006})
     for look in (
         check_owner,
@@ -287,11 +287,11 @@ def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, wr
     ):
         with pytest.raises(OtherExperimentError) as caught:
             look(other, tmp_path)
-        told = str(caught.value)
-        assert HASH in told
-        assert other.configuration_hash() in told
-        assert "plate.thickness_m began with 0.00635, is 0.006 now" in told
-        assert "--data-dir" in told
+        message = str(caught.value)
+        assert HASH in message
+        assert other.configuration_hash() in message
+        assert "plate.thickness_m began with 0.00635, is 0.006 now" in message
+        assert "--data-dir" in message
 
 
 def test_the_experiment_is_made_once(tmp_path, writer):
@@ -311,7 +311,7 @@ def test_the_experiment_is_made_once(tmp_path, writer):
     assert writer.experiment_row() == first
 
 
-def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
+def test_the_file_is_configured_to_survive_a_power_cut(tmp_path, writer):
     with writer.reading() as connection_:
         pragmas = {
             name: connection_.exec_driver_sql(f"PRAGMA {name}").scalar()
@@ -327,7 +327,7 @@ def test_a_reader_cannot_change_anything_but_commands(reader):
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
-def test_a_reader_goes_on_after_the_recorder_has_left(tmp_path):
+def test_a_reader_continues_after_the_end_of_the_recorder(tmp_path):
     with begin(tmp_path) as writer:
         writer.commit_set(commit_of(0))
     with open_catalogue(tmp_path) as reader:
@@ -346,7 +346,7 @@ def test_a_folder_may_have_any_name(tmp_path):
 # A set in one piece ---------------------------------------------------------------------------
 
 
-def test_what_is_committed_is_read_back(writer, reader):
+def test_a_committed_set_reads_back_equal(writer, reader):
     commit = commit_of(3, "ABC")
     writer.commit_set(commit)
     for given, found in (
@@ -362,7 +362,7 @@ def test_what_is_committed_is_read_back(writer, reader):
             assert replace(stored, id=None) == row if hasattr(row, "id") else stored == row
 
 
-def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
+def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     writer.commit_set(commit_of(0))
     before = reader.counts(), reader.last_event_id()
     bad = commit_of(1)
@@ -404,7 +404,7 @@ def test_rows_that_contradict_the_stored_ones_are_refused(writer, commit):
 
 
 @pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, np.float64(NAN), np.float32(math.inf)])
-def test_what_is_no_number_is_stored_as_not_available(tmp_path, writer, reader, value):
+def test_a_value_that_is_not_finite_is_stored_as_not_available(tmp_path, writer, reader, value):
     writer.commit_set(
         SetCommit(
             features=[feature_row(0, "B", None, tof_pp_s=value, psw_area_v_s=1.5)],
@@ -445,7 +445,7 @@ def as_plain(answer):
     return as_plain(asdict(answer)) if is_dataclass(answer) else answer
 
 
-def test_every_answer_is_ready_for_strict_json(writer, reader):
+def test_every_row_is_valid_strict_json(writer, reader):
     writer.commit_set(commit_of(0, "ABC"))
     writer.commit_set(
         SetCommit(
@@ -478,10 +478,10 @@ def test_every_answer_is_ready_for_strict_json(writer, reader):
     assert orjson.loads(orjson.dumps(plain)) == plain
 
 
-# Verdicts of the baseline ---------------------------------------------------------------------
+# Assessments in the baseline ------------------------------------------------------------------
 
 
-def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
+def test_an_assessment_in_the_baseline_is_completed_in_its_row(writer, reader):
     writer.commit_set(
         SetCommit(assessments=[assessment_row(0, "B", True, distance_squared=None, reason="waiting")])
     )
@@ -502,7 +502,7 @@ def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
     ]
 
 
-def test_a_verdict_after_the_baseline_is_final(writer, reader):
+def test_an_assessment_after_the_baseline_is_final(writer, reader):
     writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
     for in_baseline in (False, True):
         with pytest.raises(CatalogueConflictError):
@@ -510,14 +510,14 @@ def test_a_verdict_after_the_baseline_is_final(writer, reader):
     assert reader.rows(AssessmentRow, position="B")[0].outlier is True
 
 
-def test_a_judged_set_does_not_leave_the_baseline(writer, reader):
+def test_an_assessed_set_does_not_leave_the_baseline(writer, reader):
     writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", True)]))
     with pytest.raises(CatalogueConflictError):
         writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
     assert reader.rows(AssessmentRow, position="B")[0].in_baseline is True
 
 
-def test_a_verdict_may_name_the_baseline_of_the_same_commit(writer, reader):
+def test_an_assessment_may_refer_to_the_baseline_of_the_same_commit(writer, reader):
     row = replace(baseline_row(), id=17)
     committed = writer.commit_set(
         SetCommit(baselines=[row], assessments=[assessment_row(0, "B", baseline_id=17)])
@@ -538,13 +538,13 @@ def test_event_ids_follow_the_order_of_the_rows(writer, reader):
     assert reader.last_event_id() == second
 
 
-def test_an_event_is_dated_when_it_is_written_unless_it_says_otherwise(writer, reader, monkeypatch):
+def test_an_event_has_the_time_of_writing_unless_given(writer, reader, monkeypatch):
     monkeypatch.setattr("daq_service.catalogue.writer.time.time_ns", lambda: 77)
     writer.commit_set(SetCommit(events=[event_row(), event_row(wall_utc_ns=5)]))
     assert [row.wall_utc_ns for row in reader.events_after(0)] == [77, 5]
 
 
-def test_events_can_be_asked_for_by_topic_and_page(writer, reader):
+def test_events_are_filtered_by_topic_and_paged(writer, reader):
     writer.commit_set(
         SetCommit(
             events=[event_row(topic=topic) for topic in ("sets", "alarms", "sets", "service", "alarms")]
@@ -607,7 +607,7 @@ def test_alarms_are_listed_by_position_and_state(writer, reader):
     assert reader.alarm(99) is None
 
 
-def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
+def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader):
     command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
     (pending,) = writer.open_commands()
     assert (pending.id, pending.author, pending.arguments) == (
@@ -623,7 +623,7 @@ def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
     assert reader.command(99) is None
 
 
-def test_a_command_is_answered_once_and_in_words_of_the_contract(writer, reader):
+def test_a_command_has_one_result_with_a_known_state(writer, reader):
     command_id = reader.add_command("operator", "stop", {})
     with pytest.raises(CatalogueConflictError, match="done, refused, expired, failed"):
         writer.finish_command(command_id, "finished")
@@ -663,7 +663,7 @@ def test_sets_are_filtered_and_paged(filled):
     assert [row.set_index for row in filled.rows(SetRow, position="B", first_h=2.0, last_h=3.5)] == [2, 3]
 
 
-def test_features_are_asked_for_by_hours_inclusive(filled):
+def test_features_are_filtered_by_hours_inclusive(filled):
     assert [
         row.set_index for row in filled.rows(FeatureRow, position="C", first_h=2.0, last_h=4.0, scope="set")
     ] == [2, 3, 4]
@@ -693,7 +693,7 @@ def environment_row(index, **changes):
     return EnvironmentRow(**row | changes)
 
 
-def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, reader):
+def test_environment_rows_are_filtered_by_hours_and_paged(writer, reader):
     assert (reader.rows(EnvironmentRow), reader.last_environment()) == ([], None)
     for index in range(4):
         writer.commit_set(SetCommit(environment=[environment_row(index)]))
@@ -706,28 +706,28 @@ def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, rea
         writer.commit_set(SetCommit(environment=[environment_row(3)]))
 
 
-def told(kind, **payload):
+def event_commit(kind, **payload):
     return SetCommit(events=[event_row(kind, "service", payload=payload)])
 
 
-def test_a_hold_stands_until_its_release(writer, reader):
+def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
     assert reader.held() is None
     assert reader.last_service_event("hold", "release") is None
     for commit, held in (
-        (told("hold", held="held by ann"), "held by ann"),
-        (told("recorder_started"), "held by ann"),
-        (told("release", held=""), None),
-        (told("hold", held="held by bob: door"), "held by bob: door"),
+        (event_commit("hold", held="held by ann"), "held by ann"),
+        (event_commit("recorder_started"), "held by ann"),
+        (event_commit("release", held=""), None),
+        (event_commit("hold", held="held by bob: door"), "held by bob: door"),
     ):
         writer.commit_set(commit)
         assert reader.held() == held
     assert reader.last_service_event("recorder_started", "release").kind == "release"
-    # Words of other topics are no words of the service.
+    # Events of other topics are no service events.
     writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
     assert reader.held() == "held by bob: door"
 
 
-def test_trends_come_as_columns(filled):
+def test_trends_have_columns(filled):
     assert filled.columns(FeatureRow, ["set_index", "tof_pp_s"], position="B", scope="set", first_h=4.0) == {
         "set_index": [4, 5],
         "tof_pp_s": [3.3e-4 + 1e-6 * 4, 3.3e-4 + 1e-6 * 5],
@@ -748,7 +748,7 @@ def test_an_unknown_column_is_refused_by_name(filled):
         filled.columns(FeatureRow, ["tof"], position="B", scope="set")
 
 
-def test_the_state_of_a_position_is_its_last_word(writer, filled):
+def test_the_state_of_a_position_has_its_latest_rows(writer, filled):
     writer.commit_set(
         SetCommit(
             sets=[set_row(6, "B", "missed", 0)],
@@ -767,7 +767,7 @@ def test_the_state_of_a_position_is_its_last_word(writer, filled):
     assert state["C"].active_alarms == []
 
 
-def test_counts_tell_due_times_that_were_taken_missed_or_lack_something(writer, filled):
+def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
     writer.commit_set(SetCommit(sets=[set_row(6, p, "missed", 0) for p in "ABC"], alarms=[alarm_row()]))
     writer.commit_set(
         SetCommit(
@@ -775,7 +775,7 @@ def test_counts_tell_due_times_that_were_taken_missed_or_lack_something(writer, 
             shots=[shot_row(7, "B", 0, 701)],
         )
     )
-    # A retired position is no missed one.
+    # A disabled position is not missed.
     writer.commit_set(SetCommit(sets=[set_row(8, "A"), set_row(8, "B", "retired", 0), set_row(8, "C")]))
     assert filled.counts() == {
         "sets": 8,
@@ -793,7 +793,7 @@ def test_an_empty_catalogue_counts_nothing(reader):
     assert reader.positions_state() == {}
 
 
-def test_the_newest_baseline_counts_and_none_is_forgotten(writer, reader):
+def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
     assert reader.baseline("B") is None
     writer.commit_set(
         SetCommit(baselines=[baseline_row("B-1"), baseline_row("C-1", "C"), baseline_row("B-2")])
@@ -802,7 +802,7 @@ def test_the_newest_baseline_counts_and_none_is_forgotten(writer, reader):
     assert [row.name for row in reader.rows(BaselineRow, position="B")] == ["B-1", "B-2"]
 
 
-def test_a_restart_knows_what_is_done_and_the_next_sequence(writer):
+def test_a_restart_gets_the_finished_sets_and_the_next_sequence(writer):
     assert (writer.committed_sets(), writer.next_sequence()) == (set(), 1)
     writer.commit_set(commit_of(4, "B"))
     assert (writer.committed_sets(), writer.next_sequence()) == ({4}, 403)
@@ -822,7 +822,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
     assert len(reader.rows(FeatureRow, position="B", scope="set")) == 1
 
 
-def test_an_unfinished_commit_neither_blocks_nor_shows(writer, reader):
+def test_an_unfinished_commit_neither_blocks_nor_is_visible(writer, reader):
     with writer._writing("test") as connection_:
         from sqlalchemy import insert
 
@@ -838,12 +838,12 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
         return reader.counts()["shots"] % 4
 
     with ThreadPoolExecutor(8) as pool:
-        # Every commit brings four shots: never is a part of one seen.
+        # Every commit has four shots and is seen completely or not at all.
         assert set(pool.map(ask, range(40))) == {0}
     assert reader.counts()["sets"] == 8
 
 
-def test_a_writer_that_waits_too_long_says_so(tmp_path, monkeypatch, writer):
+def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, writer):
     monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
@@ -872,7 +872,7 @@ def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, mo
     assert waits == [10, 0, 0, 0, 0, 10]
 
 
-def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
+def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
     writer.commit_set(commit_of(0))
     with writer.reading() as connection_:
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
@@ -887,8 +887,8 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
     assert writer.committed_sets() == {0, 1}
 
 
-def test_a_writer_that_sqlite_lets_only_read_is_connected_anew(tmp_path, monkeypatch):
-    """One refused open, and SQLite opens the file for reading without a word: nothing would be stored."""
+def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):
+    """After one failed open, SQLite silently opens the file read-only: nothing would be stored."""
     begin(tmp_path).close()
     connect, refused = sqlite3.connect, []
 

@@ -1,4 +1,4 @@
-"""The migrations make exactly the tables that the code describes, or nothing."""
+"""The migrations make exactly the tables that the code describes."""
 
 import re
 import sqlite3
@@ -24,7 +24,7 @@ from daq_service.commands.deadline import command_state
 
 
 def schema_of(path):
-    """Definition of every table and index as text without layout."""
+    """Return the definition of every table and index as text without layout."""
     database = sqlite3.connect(path)
     rows = database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
     database.close()
@@ -40,14 +40,14 @@ def schema_of(path):
 
 
 def columns_and_constraints(sql):
-    """Parts of a definition in any order: constraints may stand where they like."""
+    """Return the parts of a definition sorted, as constraints may be anywhere."""
     first, last = sql.index("("), sql.rindex(")")
     # A comma inside a pair of brackets separates nothing.
     return sql[:first], sorted(re.split(r", (?![^(]*\))", sql[first + 1 : last])), sql[last:]
 
 
 def upgrade(path, revision):
-    """Bring a file to a revision by the migrations alone."""
+    """Migrate a file to a revision by the migrations alone."""
     engine = connection.make_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
@@ -58,7 +58,7 @@ def upgrade(path, revision):
 
 
 def test_migrated_and_described_schema_are_the_same(tmp_path):
-    """A new catalogue is made as described, an older one is migrated."""
+    """A new catalogue is created as described, an older one is migrated."""
     open_catalogue(tmp_path, writer=True).close()
     upgrade(tmp_path / "migrated.sqlite", "head")
     migrated = schema_of(tmp_path / "migrated.sqlite")
@@ -164,15 +164,15 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
         open_catalogue(tmp_path)
     open_catalogue(tmp_path, writer=True).close()
     for table, rows in before.items():
-        # New columns stand behind.
+        # New columns are at the end.
         assert [row[: len(rows[0])] for row in rows_of(path, table)] == rows, table
-    # What is true of an old row: nothing was repeated, all records count.
+    # In an old row no shot was repeated, and all records count.
     assert rows_of(path, "sets", "n_missed, n_restrikes") == [(0, 0)] * 2
     assert rows_of(path, "shots", "outcome") == [("accepted",)] * 2
     assert rows_of(path, "alembic_version") == [(migrations.SCHEMA_REVISION,)]
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
-        # Nobody carries out what was ordered before the update.
+        # A command from before the update is not executed.
         order, left_s = command_state(catalogue, 5)
         assert (order.state, left_s) == ("expired", 0.0)
         assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2
@@ -186,7 +186,7 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     }
 
 
-def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was(tmp_path):
+def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):
     path = tmp_path / "catalogue.sqlite"
     before = make_first_catalogue(path)
     schema = schema_of(path)
@@ -207,7 +207,7 @@ def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was
 
 
 @pytest.mark.parametrize("statement", [1, 5, 10, 14])
-def test_a_migration_that_is_cut_short_leaves_nothing(tmp_path, statement):
+def test_an_interrupted_migration_leaves_no_tables(tmp_path, statement):
     engine = connection.make_engine(tmp_path / "catalogue.sqlite", writable=True)
     seen = 0
 
@@ -227,7 +227,7 @@ def test_a_migration_that_is_cut_short_leaves_nothing(tmp_path, statement):
 
 
 @pytest.mark.parametrize("writer", [False, True])
-def test_a_catalogue_of_a_newer_version_is_refused_and_left_alone(tmp_path, writer):
+def test_a_catalogue_of_a_newer_version_is_rejected_and_unchanged(tmp_path, writer):
     open_catalogue(tmp_path, writer=True).close()
     path = tmp_path / "catalogue.sqlite"
     database = sqlite3.connect(path)

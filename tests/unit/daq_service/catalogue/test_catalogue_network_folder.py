@@ -1,4 +1,4 @@
-"""Which folders are on a network, told from Linux's list of mounts."""
+"""Detection of network folders from the mount list of Linux."""
 
 import sys
 from pathlib import Path
@@ -48,7 +48,7 @@ def test_the_nearest_and_newest_mount_decides(path, kind):
     assert network_filesystem(Path(path), MOUNTINFO) == kind
 
 
-def test_without_mounts_it_cannot_be_told():
+def test_without_mounts_the_filesystem_is_unknown():
     assert network_filesystem(Path("/data"), "") is None
 
 
@@ -56,7 +56,7 @@ def test_this_machines_temporary_folder_is_local(tmp_path):
     assert network_filesystem(tmp_path / "not" / "there" / "yet") is None
 
 
-def test_a_system_without_the_list_cannot_tell(tmp_path):
+def test_without_a_mount_list_the_filesystem_is_unknown(tmp_path):
     assert network_filesystem(tmp_path, mounts=tmp_path / "absent") is None
 
 
@@ -71,6 +71,6 @@ def test_a_link_into_the_network_is_followed(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "win32", reason="asks Windows itself")
-def test_windows_tells_shares_and_drives(tmp_path):
+def test_windows_distinguishes_shares_and_drives(tmp_path):
     assert network_filesystem(tmp_path) is None
     assert network_filesystem(Path(r"\\server\share\data")) == "UNC share"

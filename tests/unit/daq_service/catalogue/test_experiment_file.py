@@ -1,4 +1,4 @@
-"""experiment.json: what a lost catalogue's folder belongs to."""
+"""experiment.json identifies the test of a folder that lost its catalogue."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def row():
     return row_of(load_settings(None))
 
 
-def test_it_is_read_as_it_was_written_and_layout_does_not_matter(row, tmp_path):
+def test_the_file_reads_back_equal_in_any_layout(row, tmp_path):
     assert read_experiment(tmp_path) is None
     write_experiment(tmp_path, row)
     path = tmp_path / EXPERIMENT_FILE
@@ -45,7 +45,7 @@ def test_it_is_read_as_it_was_written_and_layout_does_not_matter(row, tmp_path):
 @pytest.mark.parametrize(
     "damaged", [lambda content: content.replace(b"1000000000", b"1000000001"), lambda content: content[:-40]]
 )
-def test_a_changed_value_is_told_and_a_catalogue_writes_it_again(row, tmp_path, damaged):
+def test_a_changed_value_is_rejected_and_the_catalogue_writes_the_file_again(row, tmp_path, damaged):
     write_experiment(tmp_path, row)
     path = tmp_path / EXPERIMENT_FILE
     path.write_bytes(damaged(path.read_bytes()))
@@ -55,14 +55,14 @@ def test_a_changed_value_is_told_and_a_catalogue_writes_it_again(row, tmp_path, 
     assert read_experiment(tmp_path) == row
 
 
-def test_a_catalogue_of_another_hour_0_is_refused_with_both(row, tmp_path):
+def test_a_catalogue_of_another_hour_0_is_rejected_with_both_times(row, tmp_path):
     keep_experiment(tmp_path, row)
     with pytest.raises(OtherExperimentError, match=r"2001-09-09T01:46:41.*2001-09-09T01:46:40"):
         keep_experiment(tmp_path, replace(row, epoch_utc_ns=10**18 + 10**9))
     assert read_experiment(tmp_path) == row
 
 
-def test_without_a_catalogue_it_still_says_whose_folder_it_is(row, tmp_path):
+def test_without_a_catalogue_the_file_identifies_the_test(row, tmp_path):
     write_experiment(tmp_path, row)
     check_owner(load_settings(None), tmp_path)
     lower = load_settings(None, overrides={"chain": {"drop_height_m": 3e-3}})

@@ -1,4 +1,4 @@
-"""The history follows the catalogue; whatever befalls a line of it, the others are read."""
+"""The history follows the catalogue; if a line is corrupt, the others are read."""
 
 import os
 from dataclasses import replace
@@ -27,14 +27,12 @@ def follower(catalogue, tmp_path):
     return follower
 
 
-def set_row(position, **told):
-    told = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **told}
-    return SetRow(set_index=0, position=position, method="pulse_echo", **told)
+def set_row(position, **columns):
+    columns = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **columns}
+    return SetRow(set_index=0, position=position, method="pulse_echo", **columns)
 
 
-def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_file(
-    catalogue, follower, tmp_path
-):
+def test_the_history_holds_experiment_events_command_states_and_files(catalogue, follower, tmp_path):
     tell(catalogue, "one", "two")
     order = catalogue.add_command("Ada", "hold", {})
     follower.follow()
@@ -59,20 +57,20 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
 
 
 def stored(catalogue, set_index, sha256=None):
-    """A set's row and its event, as the recorder commits them."""
+    """Commit the row and event of a set as the recorder does."""
     row = replace(set_row("A", file=f"sets/{set_index}.h5", file_sha256=sha256), set_index=set_index)
     event = EventRow(utc_ns=0, topic="sets", kind="set_done", position="A", set_index=set_index, payload={})
     catalogue.commit_set(SetCommit(sets=[row], events=[event]))
     return row.file
 
 
-def test_where_sets_have_no_journal_their_digests_come_with_their_rows(catalogue, follower, tmp_path):
+def test_without_a_journal_digests_are_written_with_the_rows(catalogue, follower, tmp_path):
     files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(3)}
     follower.follow()
     assert read_history(tmp_path).digests == files
 
 
-def test_a_digest_whose_line_a_crash_kept_back_comes_with_the_next_start(catalogue, follower, tmp_path):
+def test_a_digest_missing_after_a_crash_is_written_at_the_next_start(catalogue, follower, tmp_path):
     files = {stored(catalogue, index): f"{index}" * 64 for index in range(3)}
     follower.follow()
     for index, (file, sha256) in enumerate(files.items()):
@@ -84,9 +82,7 @@ def test_a_digest_whose_line_a_crash_kept_back_comes_with_the_next_start(catalog
         assert read_history(tmp_path).last_number == 1 + 3 + 3
 
 
-def test_a_start_reads_what_the_end_of_a_long_history_tells_of_and_no_more(
-    catalogue, follower, tmp_path, monkeypatch
-):
+def test_a_start_reads_only_the_end_of_a_long_history(catalogue, follower, tmp_path, monkeypatch):
     for index in range(20):
         file = stored(catalogue, index)
         catalogue.set_digest(index, file, f"{index:064d}")
@@ -106,7 +102,7 @@ def test_a_start_reads_what_the_end_of_a_long_history_tells_of_and_no_more(
     assert [first for kind, first in asked if kind is SetRow] == [18]
 
 
-def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_path, monkeypatch):
+def test_a_folder_without_a_history_is_followed_in_blocks(catalogue, tmp_path, monkeypatch):
     files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(7)}
     monkeypatch.setattr(history, "EVENTS_AT_ONCE", 3)
     follower = HistoryFollower(tmp_path, catalogue)
@@ -117,7 +113,7 @@ def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_pa
     assert (len(follower._known.events), len(follower._known.digests)) == (1, 1), "memory stays flat"
 
 
-def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, follower, tmp_path):
+def test_a_new_follower_appends_missing_lines_once(catalogue, follower, tmp_path):
     tell(catalogue, "one")
     follower.follow()
     tell(catalogue, "two")
@@ -128,7 +124,7 @@ def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, fol
     assert history.last_number == 3
 
 
-def test_at_most_once_a_second(catalogue, tmp_path):
+def test_the_history_is_written_at_most_once_per_second(catalogue, tmp_path):
     now = [0.0]
     follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
     follower.begin()
@@ -141,7 +137,7 @@ def test_at_most_once_a_second(catalogue, tmp_path):
     assert len(read_history(tmp_path).events) == 1
 
 
-def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_path):
+def test_a_torn_last_line_is_removed_and_no_corruption(catalogue, follower, tmp_path):
     tell(catalogue, "one", "two")
     follower.follow()
     path = tmp_path / HISTORY_FILE
@@ -163,7 +159,7 @@ def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_
         (lambda lines: lines[1:], set()),
     ],
 )
-def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
+def test_a_corrupt_or_missing_line_is_reported_and_the_others_are_read(
     catalogue, follower, tmp_path, damaged, lacking
 ):
     tell(catalogue, "one", "two", "three")
@@ -175,7 +171,7 @@ def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
     assert len(history.damage) == 1
 
 
-def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tmp_path, monkeypatch, caplog):
+def test_a_write_error_only_delays_the_history(catalogue, follower, tmp_path, monkeypatch, caplog):
     tell(catalogue, "one")
     written = os.write
 
@@ -194,7 +190,7 @@ def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tm
     assert sum("behind the catalogue" in record.message for record in caplog.records) == 1
 
 
-def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue, follower, tmp_path):
+def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue, follower, tmp_path):
     tell(catalogue, "one")
     follower.follow()
     with (tmp_path / HISTORY_FILE).open("ab") as file:
@@ -207,14 +203,14 @@ def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue,
 def test_a_history_of_another_experiment_is_refused_with_both(catalogue, follower, tmp_path):
     path = tmp_path / HISTORY_FILE
     (line,) = path.read_bytes().splitlines()
-    told = parse_lines(line + b"\n").experiment
-    row = {name: getattr(told, name) for name in told.__slots__}
+    experiment = parse_lines(line + b"\n").experiment
+    row = {name: getattr(experiment, name) for name in experiment.__slots__}
     path.write_bytes(line_of(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
     with pytest.raises(OtherExperimentError, match=r"1970-01-01.*2001-09-09"):
         HistoryFollower(tmp_path, catalogue).begin()
 
 
-def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypatch):
+def test_the_end_of_a_long_history_is_sufficient(catalogue, follower, tmp_path, monkeypatch):
     tell(catalogue, *("told" for _ in range(50)))
     follower.follow()
     monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
@@ -227,13 +223,13 @@ def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("last", "is_damage"),
     [
-        (b"\0" * 60 + b'e"}}\n', False),  # a page that the power's end kept from the disk
+        (b"\0" * 60 + b'e"}}\n', False),  # a page not written because of a power cut
         (b'{"crc32":"00000000","n":2}\n', True),
         (b'{"crc32":"00000000","n":2', False),
     ],
     ids=["with a hole", "changed", "without an end"],
 )
-def test_only_a_last_line_that_was_being_written_is_no_damage(last, is_damage):
+def test_only_an_incomplete_last_line_is_no_corruption(last, is_damage):
     first = line_of(1, "files", {"file": "a", "file_sha256": "b"})
     assert bool(parse_lines(first + last).damage) is is_damage
     assert parse_lines(first + last + line_of(3, "files", {"file": "c", "file_sha256": "d"})).damage

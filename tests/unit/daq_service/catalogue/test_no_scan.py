@@ -1,4 +1,4 @@
-"""What is asked every day is found in an index, and is what reading every row would have given."""
+"""Frequent queries use an index and return what reading every row would return."""
 
 import random
 import re
@@ -27,7 +27,7 @@ GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", 
 
 
 def random_catalogue(folder, seed):
-    """Sets of a probe and two transducers, many with something missing, all in the order of the plan."""
+    """Return a catalogue of a probe and two transducers, many sets incomplete, in the order of the plan."""
     chance, sequence = random.Random(seed), 0
     catalogue = new_catalogue(folder)
     for index in range(30):
@@ -74,8 +74,8 @@ def random_catalogue(folder, seed):
     return catalogue
 
 
-def plainly(rows, filters):
-    """The same filters by looking at every row."""
+def filtered_rows(rows, filters):
+    """Apply the same filters to every row."""
     conditions = {
         "first_h": lambda row, hour: row.due_h >= hour,
         "last_h": lambda row, hour: row.due_h <= hour,
@@ -105,10 +105,10 @@ ASKED = [
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, seed):
+def test_pages_by_index_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         for kind, filters in ASKED:
-            expected = plainly(catalogue.rows(kind), filters)
+            expected = filtered_rows(catalogue.rows(kind), filters)
             assert catalogue.rows(kind, **filters) == expected, (kind, filters)
             if kind is ShotRow:
                 continue
@@ -119,38 +119,38 @@ def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, se
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, seed):
+def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         counts, rows = catalogue.counts(), catalogue.rows(SetRow)
         with catalogue.reading() as connection:
             expected = due_time_counts(connection)
             n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
             echoes, all_shots = (
-                connection.execute(select(func.count()).select_from(shots).where(which)).scalar_one()
-                for which in (shots.c.position == "A", True)
+                connection.execute(select(func.count()).select_from(shots).where(query)).scalar_one()
+                for query in (shots.c.position == "A", True)
             )
         expected |= {"events": n_events, "pulse_echo_records": echoes, "shots": all_shots - echoes}
         assert {name: counts[name] for name in expected} == expected
-        assert counts["active_alarms"] == len(plainly(catalogue.rows(AlarmRow), {"active": True}))
+        assert counts["active_alarms"] == len(filtered_rows(catalogue.rows(AlarmRow), {"active": True}))
         for position, word in catalogue.positions_state().items():
-            for told, kind, filters in (
+            for newest, kind, filters in (
                 (word.last_set, SetRow, {}),
                 (word.last_feature, FeatureRow, {"scope": "set"}),
                 (word.last_verdict, AssessmentRow, {}),
                 (word.last_thickness, ThicknessRow, {}),
             ):
-                found = plainly(catalogue.rows(kind), {"position": position, **filters})
-                assert told == max(found, key=lambda row: row.set_index, default=None)
+                found = filtered_rows(catalogue.rows(kind), {"position": position, **filters})
+                assert newest == max(found, key=lambda row: row.set_index, default=None)
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
-        said = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
-        held = [row for row in said if row.kind in ("hold", "release")]
-        assert catalogue.rows(EventRow, topic="service") == said
+        service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
+        held = [row for row in service_events if row.kind in ("hold", "release")]
+        assert catalogue.rows(EventRow, topic="service") == service_events
         assert catalogue.last_service_event("hold", "release") == (held[-1] if held else None)
         assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
         assert catalogue.committed_sets() == {row.set_index for row in rows}
         assert catalogue.committed_sets({3, 99}) == {3}
-        reading = plainly(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
+        reading = filtered_rows(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
         assert catalogue.first_reading("A") == reading[0]
         tried = [row for row in rows if row.position == "B" and row.n_taken]
         assert catalogue.last_rows(SetRow, "B", 4, tried=True) == tried[-4:]
@@ -164,7 +164,7 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         assert sorted(gaps, key=repr) == sorted(newest, key=repr)
 
 
-def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
+def test_no_frequent_query_reads_every_row(tmp_path):
     with random_catalogue(tmp_path, 0), open_catalogue(tmp_path, writer=True) as catalogue:
         plans = []
 
@@ -215,19 +215,19 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
             scanned = re.match(r"SCAN (\w+)( USING)?", step)
             if scanned is not None and scanned[1] in GROWING:
                 # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11,
-                # but for the few that are beside the plan.
+                # except for the few unscheduled sets.
                 asked = re.sub(r"WHERE \w+\.set_index < \?", "", sql)
                 filtered = "WHERE" in asked and "shot_index IS" not in asked
                 page = "LIMIT" in sql and not scanned[2] and not filtered
                 assert page, (sql, values, steps)
-            # Only what is few is sorted: open orders, standing alarms, a position's resets, a set's shots.
+            # Only short lists are sorted: open commands, active alarms, resets of a position, shots of a set.
             few = "topic = " in sql or "FROM commands" in sql or "FROM alarms" in sql or "FROM shots" in sql
             assert step != "USE TEMP B-TREE FOR ORDER BY" or few, (sql, values, steps)
 
 
 @pytest.mark.parametrize("kind", [SetRow, FeatureRow, AssessmentRow])
 @pytest.mark.parametrize("ended", [{"last_h": 1.0}, {"last_set": 1}])
-def test_a_range_s_end_ends_the_search_beside_that_of_the_plan(tmp_path, kind, ended):
+def test_the_end_of_a_range_limits_a_search_by_purpose(tmp_path, kind, ended):
     with random_catalogue(tmp_path, 0) as catalogue:
         steps = []
 

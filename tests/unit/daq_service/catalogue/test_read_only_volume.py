@@ -1,4 +1,4 @@
-"""A catalogue on a medium that nobody can write."""
+"""A catalogue on a read-only volume."""
 
 import os
 from types import SimpleNamespace
@@ -11,14 +11,14 @@ from daq_service.catalogue.connection import FILE_NAME, _cannot_change
 
 
 @pytest.mark.skipif(not hasattr(os, "statvfs"), reason="Windows tells no such thing")
-def test_a_catalogue_on_a_read_only_volume_is_read_without_a_file_beside_it(tmp_path, monkeypatch):
+def test_a_catalogue_on_a_read_only_volume_is_read_without_a_second_file(tmp_path, monkeypatch):
     new_catalogue(tmp_path).close()
-    told = os.statvfs(tmp_path)
-    read_only = SimpleNamespace(f_flag=told.f_flag | os.ST_RDONLY)
+    volume = os.statvfs(tmp_path)
+    read_only = SimpleNamespace(f_flag=volume.f_flag | os.ST_RDONLY)
     monkeypatch.setattr(os, "statvfs", lambda path: read_only)
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.experiment_row().name == "test"
         assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
-    # Whoever has it open elsewhere writes a log, which must not be overlooked.
+    # A process that has it open elsewhere writes a log, which must be read, too.
     (tmp_path / f"{FILE_NAME}-wal").touch()
     assert not _cannot_change(tmp_path / FILE_NAME)

@@ -1,4 +1,4 @@
-"""Trends and fits from blocks against plain numbers of all rows, whatever happened to the sets."""
+"""Trends and fits from rollup blocks equal those from all rows, for sets of every state."""
 
 import random
 from dataclasses import replace
@@ -27,9 +27,9 @@ VALUES = ("tof_pp_s", "amplitude_ratio")
 
 
 def random_sets(folder, seed):
-    """Sets of one position, with the rows of each; judged again, late, missed, retired, without values."""
+    """Return sets of one position and their rows: assessed again, late, missed, disabled, without values."""
     chance = random.Random(seed)
-    catalogue, told, waiting = new_catalogue(folder), {}, []
+    catalogue, rows_by_set, waiting = new_catalogue(folder), {}, []
     retired = range(200, 240)
     for index in range(N_SETS):
         own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
@@ -52,22 +52,22 @@ def random_sets(folder, seed):
         if chance.random() < 0.03:
             row["alarms"] = 1
             commit.alarms.append(alarm(index))
-        told[index] = row
+        rows_by_set[index] = row
         waiting.append(commit)
         if index == BASELINE:  # the baseline's own distances are known now
             for number in range(BASELINE):
-                if told[number]["state"] == "done":
-                    told[number]["distance_squared"] = chance.random()
-                    own = {"position": "B", "set_index": number, "due_h": told[number]["due_h"]}
-                    waiting[-1].assessments.append(assessment(own, told[number], True))
+                if rows_by_set[number]["state"] == "done":
+                    rows_by_set[number]["distance_squared"] = chance.random()
+                    own = {"position": "B", "set_index": number, "due_h": rows_by_set[number]["due_h"]}
+                    waiting[-1].assessments.append(assessment(own, rows_by_set[number], True))
         if chance.random() < 0.8 or index == N_SETS - 1:
             late = chance.random() < 0.3 and index > BASELINE + 5
             for commit in waiting[::-1] if late else waiting:
                 catalogue.commit_set(commit)
             waiting = []
     catalogue.commit_set(SetCommit(alarms=[alarm(7)]))
-    told[7]["alarms"] += 1
-    return catalogue, told
+    rows_by_set[7]["alarms"] += 1
+    return catalogue, rows_by_set
 
 
 def assessment(own, row, in_baseline):
@@ -85,14 +85,14 @@ def alarm(index):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_bins_say_what_all_rows_say(tmp_path, seed):
+def test_bins_equal_those_from_all_rows(tmp_path, seed):
     chance = random.Random(seed)
-    catalogue, told = random_sets(tmp_path, seed)
+    catalogue, rows_by_set = random_sets(tmp_path, seed)
     with catalogue:
         for _ in range(60):
             first_h, last_h = sorted(chance.uniform(-5.0, 180.0) for _ in range(2))
             points = chance.choice([1, 2, 7, 30, 100])
-            rows = {index: row for index, row in told.items() if first_h <= row["due_h"] <= last_h}
+            rows = {index: row for index, row in rows_by_set.items() if first_h <= row["due_h"] <= last_h}
             found = trend_bins(
                 catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
             )
@@ -112,7 +112,7 @@ def test_bins_say_what_all_rows_say(tmp_path, seed):
 
 
 def compare(rows, found):
-    """One bin against the rows of its sets."""
+    """Compare one bin with the rows of its sets."""
     assert (found["first_set"], found["last_set"]) == (min(rows), max(rows))
     done = [row for row in rows.values() if row["state"] == "done"]
     assert (found["n_sets"], found["n_missed"]) == (
@@ -135,14 +135,16 @@ def compare(rows, found):
         assert found["sum"][column] == pytest.approx(sum(values), rel=1e-13)
 
 
-def test_fits_are_those_of_all_rows(tmp_path):
-    catalogue, told = random_sets(tmp_path, 5)
+def test_fits_equal_those_from_all_rows(tmp_path):
+    catalogue, rows_by_set = random_sets(tmp_path, 5)
     chance = random.Random(5)
     with catalogue:
         for _ in range(20):
             first_h, last_h = sorted((chance.uniform(-5.0, 60.0), chance.uniform(70.0, 180.0)))
             part = trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
-            rows = [row for row in told.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row]
+            rows = [
+                row for row in rows_by_set.values() if first_h <= row["due_h"] <= last_h and "tof_pp_s" in row
+            ]
             values = np.array([row["tof_pp_s"] for row in rows], dtype=float)
             whole, trend = fit_trend([row["due_h"] for row in rows], values), trend_of_part(part)
             assert trend.n_points == whole.n_points
@@ -153,7 +155,7 @@ def test_fits_are_those_of_all_rows(tmp_path):
         assert trend_part(catalogue, "B", "tof_pp_s", first_h=900.0, last_h=None)["n"] == 0
 
 
-def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
+def test_blocks_depend_on_the_rows_alone_and_a_wrong_one_is_reported(tmp_path):
     catalogue, _ = random_sets(tmp_path, 1)
     with catalogue:
         with writing(catalogue._engine) as connection:
@@ -170,7 +172,7 @@ def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
             assert list(trend_differences(connection)) == []
 
 
-def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_path):
+def test_a_block_with_missing_last_sets_is_stored_with_a_later_set(tmp_path):
     with new_catalogue(tmp_path) as catalogue:
         for index in (*range(70), 300):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))
@@ -178,7 +180,7 @@ def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_p
             assert list(trend_differences(connection)) == []
 
 
-def test_a_damaged_row_keeps_no_set_from_being_stored(tmp_path, caplog):
+def test_a_corrupt_row_does_not_prevent_the_storage_of_a_set(tmp_path, caplog):
     with new_catalogue(tmp_path) as catalogue:
         for index in range(3):
             catalogue.commit_set(SetCommit(sets=[planned(index)]))

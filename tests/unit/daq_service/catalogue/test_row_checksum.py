@@ -1,4 +1,4 @@
-"""The checksum of a row: the same before it is stored and after it is read, another for any other value."""
+"""The checksum of a row is the same before and after storage and differs for any other value."""
 
 import sqlite3
 from contextlib import closing
@@ -43,7 +43,7 @@ def change(folder, statement):
         database.commit()
 
 
-def test_what_sql_makes_of_a_value_is_no_damage(folder):
+def test_a_value_converted_by_sql_is_no_corruption(folder):
     assert list(catalogue_corruption(folder)) == []
     with open_catalogue(folder) as catalogue:
         (feature,) = catalogue.rows(FeatureRow)
@@ -67,7 +67,7 @@ def test_what_sql_makes_of_a_value_is_no_damage(folder):
         (ExperimentRow, "UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1", 1),
     ],
 )
-def test_a_changed_value_is_told_and_never_read(folder, kind, statement, row_id):
+def test_a_changed_value_is_reported_and_never_read(folder, kind, statement, row_id):
     change(folder, statement)
     (damage,) = catalogue_corruption(folder)
     assert (damage.table, damage.row_id) == (statement.split()[1], row_id)
@@ -77,7 +77,7 @@ def test_a_changed_value_is_told_and_never_read(folder, kind, statement, row_id)
         open_catalogue(folder, writer=True)
 
 
-def test_one_damaged_row_hides_no_other(folder):
+def test_one_corrupt_row_hides_no_other(folder):
     with open_catalogue(folder, writer=True) as catalogue:
         for number in range(4):
             catalogue.add_event(utc_ns=number, topic="service", kind="told", payload={})
@@ -95,7 +95,7 @@ def test_columns_are_compared_too(folder):
         catalogue.columns(FeatureRow, ["tof_ac_s"])
 
 
-def test_a_column_that_comes_later_and_is_empty_changes_no_checksum():
+def test_a_new_empty_column_changes_no_checksum():
     assert row_crc32(replace(SET, id=1)) == row_crc32(replace(SET, id=1, cause=None, file_sha256=None))
     assert row_crc32(replace(SET, id=1)) != row_crc32(replace(SET, id=2))
 
@@ -111,7 +111,7 @@ def test_changed_rows_get_their_checksum_again(folder):
     assert list(catalogue_corruption(folder)) == []
 
 
-def test_a_row_without_what_it_refers_to_is_told(folder):
+def test_a_row_with_a_missing_reference_is_reported(folder):
     row = ThicknessRow(
         set_index=3, position="A", sequence=5, due_h=2.0, extractor_version="1", quality="bad", id=1
     )

@@ -1,4 +1,4 @@
-"""A row, its table, its answer and its event say the same columns."""
+"""A row, its table, its response and its event have the same columns."""
 
 import dataclasses
 from types import NoneType
@@ -21,7 +21,7 @@ EXAMPLES = {bytes: b"\x00\xff", bool: True, dict: {}, float: 1.5, int: 7, list: 
 
 
 def example(kind):
-    """Return a row with something in every column."""
+    """Return a row with a value in every column."""
     given = {}
     for column in rows.columns_of(kind):
         (of_type,) = [part for part in alternatives(column.type) if part is not NoneType]
@@ -75,12 +75,12 @@ def test_features_are_the_columns_of_a_feature_row():
     assert tuple(names[-len(ALL_FEATURE_NAMES) :]) == ALL_FEATURE_NAMES
 
 
-def test_every_answered_row_is_one_of_the_catalogue():
+def test_every_response_row_is_one_of_the_catalogue():
     assert {name for name in vars(models) if name.endswith("Row")} == {kind.__name__ for kind in ANSWERED}
 
 
 @pytest.mark.parametrize("kind", ANSWERED)
-def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
+def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     row = example(kind)
     answer = with_utc(rows.values(row), 0)
     if {"due_h", "raised_h"} & answer.keys():
@@ -105,7 +105,7 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
             assert model.model_fields[column.name].description == column.told
 
 
-def test_an_event_tells_a_row_without_an_id_that_is_not_given_out():
+def test_an_event_payload_omits_an_id_that_is_not_assigned():
     row = example(rows.AlarmRow)
     assert payload_of(row) == rows.values(row)
     assert list(payload_of(row, last="id"))[-1] == "id"

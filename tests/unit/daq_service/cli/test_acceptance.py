@@ -1,4 +1,4 @@
-"""A certificate says of a test what its rows say, with units and reasons, and judges it by written limits."""
+"""An acceptance report states the rows of a test with units and reasons, and compares them with limits."""
 
 import html as markup
 import json
@@ -58,41 +58,41 @@ def watch():
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory):
-    """A folder of twelve sets with seeded faults."""
+    """Return a folder of twelve sets with seeded faults."""
     line = Line(tmp_path_factory.mktemp("faulty"), script=script)
     assert line.run(machine=watch())
     return line.folder
 
 
-def made_of(folder, *limits, **changes):
+def report_of(folder, *limits, **changes):
     return certificate(replace(read_evidence(folder), **changes), with_limits(limits))
 
 
-def numbers(made):
-    return {item.name: item.value for item in made.quantities}
+def numbers(report):
+    return {item.name: item.value for item in report.quantities}
 
 
-def rows(made, name):
-    return next(table.rows for table in made.tables if table.name == name)
+def rows(report, name):
+    return next(table.rows for table in report.tables if table.name == name)
 
 
-def states(made):
-    return {item.criterion.quantity: item.state for item in made.comparisons}
+def states(report):
+    return {item.criterion.quantity: item.state for item in report.comparisons}
 
 
-def certify(*words):
-    """Exit code, and standard output or the error."""
-    done = CliRunner().invoke(cli, ["certify", *map(str, words)])
+def certify(*arguments):
+    """Run the command; return the exit code and standard output or the error."""
+    done = CliRunner().invoke(cli, ["certify", *map(str, arguments)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return getattr(done.exception, "exit_code", 1), str(done.exception)
     return done.exit_code, done.stdout
 
 
-# What happened ---------------------------------------------------------------------------------------
+# Events ----------------------------------------------------------------------------------------------
 
 
 def test_sets_and_records_are_those_that_sql_counts(faulty):
-    found = numbers(made_of(faulty))
+    found = numbers(report_of(faulty))
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
         [counted] = database.execute(
             "SELECT sum(n_planned), (SELECT count(*) FROM shots WHERE outcome = 'accepted'), sum(n_valid), "
@@ -111,36 +111,36 @@ def test_sets_and_records_are_those_that_sql_counts(faulty):
 
 
 def test_a_gap_lasts_from_record_to_record_and_has_its_cause(faulty):
-    made = made_of(faulty)
-    (first, n_sets, from_h, until_h, hours, cause), (again, *_) = rows(made, "gaps")
+    report = report_of(faulty)
+    (first, n_sets, from_h, until_h, hours, cause), (again, *_) = rows(report, "gaps")
     # Sets every half hour, the first one at 0.5 h: 5 and 6 are due at 3 h and 3.5 h.
     assert (first, n_sets, from_h, until_h, hours) == (5, 2, 2.5, 4.0, 1.5)
     assert "the chassis is gone" in cause
     assert again == LOST_AGAIN
-    assert numbers(made)["longest_gap_h"] == 1.5
+    assert numbers(report)["longest_gap_h"] == 1.5
 
 
-def test_what_a_set_lacks_and_what_failed_is_told_by_kind(faulty):
-    made = made_of(faulty)
-    lacking = {(state, positions): told for state, positions, *told in rows(made, "shortfalls")}
+def test_shortfalls_and_faults_are_listed_by_kind(faulty):
+    report = report_of(faulty)
+    lacking = {(state, positions): values for state, positions, *values in rows(report, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
-    assert numbers(made)["restrikes"] > 0  # and they count nowhere as records that were planned
-    [(times, longest_h, together_h, standing, words)] = [
-        told for kind, *told in rows(made, "faults") if kind == "rig_unavailable"
+    assert numbers(report)["restrikes"] > 0  # and they count nowhere as records that were planned
+    [(times, longest_h, together_h, standing, message)] = [
+        values for kind, *values in rows(report, "faults") if kind == "rig_unavailable"
     ]
-    # From the end of set 5 to that of 7, and from 10 to 11: one alarm that nobody acknowledged.
+    # From the end of set 5 to that of 7, and from 10 to 11: one unacknowledged alarm.
     assert (times, standing) == (2, 0)
     assert (longest_h, together_h) == pytest.approx((1.0, 1.5), abs=0.03)  # each ends with a set of 44 s
-    assert "chassis" in words
+    assert "chassis" in message
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
         flagged = database.execute("SELECT value FROM shots, json_each(flags)").fetchall()
     database.close()
-    assert dict(rows(made, "flags")) == Counter(flag for (flag,) in flagged)
-    assert dict(rows(made, "flags"))["no_psw"] == 4 + 2  # and two were struck once more
+    assert dict(rows(report, "flags")) == Counter(flag for (flag,) in flagged)
+    assert dict(rows(report, "flags"))["no_psw"] == 4 + 2  # and two were repeated
 
 
-def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faulty):
-    for item in made_of(faulty).quantities:
+def test_a_number_has_a_unit_and_its_method_or_the_reason_of_its_absence(faulty):
+    for item in report_of(faulty).quantities:
         assert item.unit, item.name
         assert item.how, item.name
         assert (item.value is None) == bool(item.missing), item.name
@@ -151,7 +151,7 @@ def test_a_number_has_a_unit_and_says_how_it_was_found_or_why_there_is_none(faul
 
 @pytest.fixture
 def real(tmp_path):
-    """A test in real time, begun in 2024, whose recorder holds the folder."""
+    """Return a test in real time, started in 2024, whose recorder owns the folder."""
     filled = FilledFolder(tmp_path, load_settings(None, overrides={"clock": {"kind": "wall"}}))
     for index in range(3):
         filled.add_set(index)
@@ -159,52 +159,52 @@ def real(tmp_path):
     filled.close()
 
 
-def test_a_test_that_runs_is_certified_as_it_stands(real, monkeypatch):
+def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     third_h = real.due[2].due_utc_ns
     monkeypatch.setattr(
         "daq_service.cli.maintenance.acceptance.evidence.time_now_ns", lambda beat: third_h + 60 * 10**9
     )
-    made = made_of(real.folder)
-    found = numbers(made)
+    report = report_of(real.folder)
+    found = numbers(report)
     assert (found["sets_due"], found["sets_taken"], found["sets_missed"]) == (3, 3, 0)
     assert (found["unplanned_ends"], found["restarts"]) == (0, 0)
-    assert any("goes on" in note for note in made.notes)
+    assert any("goes on" in note for note in report.notes)
 
 
 def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
     real.recorder_ends()
-    made = made_of(real.folder)
-    found = numbers(made)
-    # Long over by this computer's clock, but for the last set: it could be under way.
+    report = report_of(real.folder)
+    found = numbers(report)
+    # All sets are long over by this computer's clock, except the last one, which could be running.
     assert (found["sets_taken"], found["sets_missed"]) == (3, len(real.due) - 1 - 3)
-    [(first, _, from_h, _, _, cause)] = rows(made, "gaps")
+    [(first, _, from_h, _, _, cause)] = rows(report, "gaps")
     assert (first, from_h) == (3, real.due[2].due_h)
     assert cause == "no recorder told of it"
     assert found["unplanned_ends"] == 1
-    assert states(made)["unplanned_ends"] == states(made)["sets_taken_fraction"] == "fail"
-    assert made.outcome == "fail"
+    assert states(report)["unplanned_ends"] == states(report)["sets_taken_fraction"] == "fail"
+    assert report.outcome == "fail"
 
 
 def test_a_test_that_was_stopped_lacks_nothing_after_its_end(real):
     real.say("recorder_stopped", real.due[2].due_utc_ns + 1)
     real.recorder_ends()
-    found = numbers(made_of(real.folder))
+    found = numbers(report_of(real.folder))
     assert (found["sets_due"], found["sets_missed"], found["unplanned_ends"]) == (3, 0, 0)
 
 
-def test_a_restart_after_a_kill_is_an_end_without_a_word_and_one_after_a_stop_is_not(real):
+def test_only_a_restart_after_a_kill_counts_as_an_unexpected_end(real):
     real.say("recorder_started", before="the recorder was killed")
     real.say("recorder_stopped")
     real.say("recorder_started", before="the recorder had been stopped")
-    made = made_of(real.folder)
-    assert (numbers(made)["restarts"], numbers(made)["unplanned_ends"]) == (2, 1)
-    assert [row[1:] for row in rows(made, "restarts")] == [
+    report = report_of(real.folder)
+    assert (numbers(report)["restarts"], numbers(report)["unplanned_ends"]) == (2, 1)
+    assert [row[1:] for row in rows(report, "restarts")] == [
         ("no word", "the recorder was killed"),
         ("recorder_stopped", "the recorder had been stopped"),
     ]
 
 
-def test_a_recorder_that_fell_over_in_a_set_leaves_its_trace(tmp_path):
+def test_a_recorder_crash_during_a_set_is_counted(tmp_path):
     fell = []
 
     def falls_over(key):
@@ -217,11 +217,11 @@ def test_a_recorder_that_fell_over_in_a_set_leaves_its_trace(tmp_path):
     with pytest.raises(SystemExit):
         line.run(machine=watch())
     assert line.run(machine=watch(), cause="it was killed")
-    made = made_of(line.folder)
-    found = numbers(made)
+    report = report_of(line.folder)
+    found = numbers(report)
     assert (found["restarts"], found["unplanned_ends"], found["sets_taken"]) == (1, 1, SETS)
     assert found["files_read_again"] == 2 * 2, "of both recorders"
-    assert rows(made, "restarts")[0][1:] == ("no word", "it was killed")
+    assert rows(report, "restarts")[0][1:] == ("no word", "it was killed")
 
 
 def test_delays_are_quantiles_of_start_less_due(real):
@@ -243,20 +243,20 @@ def test_delays_are_quantiles_of_start_less_due(real):
         for index, delay in enumerate(delays_s)
     ]
     found = numbers(certificate(replace(evidence, sets=its), DEFAULTS))
-    # Of 200 values the 100th and the 198th are the smallest that half and 99 % do not exceed.
+    # The 100th and 198th of 200 values are the smallest that 50 % and 99 % do not exceed.
     names = ("start_delay_p50_s", "start_delay_p99_s", "start_delay_max_s")
     assert [found[name] for name in names] == pytest.approx([1.0, 1.98, 2.0], abs=1e-9)
     assert found["set_duration_max_s"] == pytest.approx(39.99, abs=1e-9)
 
 
-def test_steps_and_doubts_of_the_clock_are_told_and_judged(real):
+def test_clock_steps_are_listed_and_assessed(real):
     step = {"step_s": -90.0, "ahead_s": -90.0}
     real.say("clock_step", real.due[1].due_utc_ns, **step)
-    made = made_of(real.folder)
-    assert numbers(made)["clock_step_max_s"] == 90.0
-    assert rows(made, "clock_steps") == [(real.due[1].due_h, -90.0, -90.0)]
-    assert states(made)["clock_step_max_s"] == "fail"
-    assert states(made)["clock_doubts"] == "pass"
+    report = report_of(real.folder)
+    assert numbers(report)["clock_step_max_s"] == 90.0
+    assert rows(report, "clock_steps") == [(real.due[1].due_h, -90.0, -90.0)]
+    assert states(report)["clock_step_max_s"] == "fail"
+    assert states(report)["clock_doubts"] == "pass"
 
 
 # Readings of the machine -----------------------------------------------------------------------------
@@ -283,7 +283,7 @@ def readings(values, *, recorder=1, first=0):
 
 
 def memory(evidence, machine):
-    """Largest memory and its growth."""
+    """Return the maximum memory and its growth."""
     return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes", "memory", "B"))
 
 
@@ -300,9 +300,9 @@ def test_memory_that_grows_by_a_line_has_its_slope_and_a_restart_is_no_fall(evid
     one = grown(evidence, [10**8 + 1000 * number for number in range(100)])
     assert (one.value, one.low, one.high) == pytest.approx((1e6, 1e6, 1e6))
     two = [*readings([10**8] * 70), *readings([10**7 + 50 * n for n in range(100)], recorder=2, first=70)]
-    told = memory(evidence, two)
-    assert told[0].value == 10**8
-    assert told[1].value == pytest.approx(5e4)
+    quantities = memory(evidence, two)
+    assert quantities[0].value == 10**8
+    assert quantities[1].value == pytest.approx(5e4)
 
 
 def test_the_interval_of_a_slope_holds_it_in_noise_and_the_first_sets_count_for_nothing(evidence):
@@ -313,7 +313,7 @@ def test_the_interval_of_a_slope_holds_it_in_noise_and_the_first_sets_count_for_
     assert 0.5 * (found.high - found.low) < 0.1 * 3e6
 
 
-def test_few_readings_decide_nothing_and_none_are_not_kept(evidence):
+def test_few_readings_give_no_result(evidence):
     few = grown(evidence, [10**8] * 20)
     assert few.value is None
     assert f"{FEWEST_READINGS} are the fewest" in few.missing
@@ -322,18 +322,18 @@ def test_few_readings_decide_nothing_and_none_are_not_kept(evidence):
     assert "does not tell" in grown(evidence, [None] * 40).missing
 
 
-def test_readings_of_a_real_run_are_told(faulty):
-    found = numbers(made_of(faulty))
+def test_readings_of_a_real_run_are_reported(faulty):
+    found = numbers(report_of(faulty))
     assert found["free_bytes_min"] == 3 * 10**9
     assert found["files_read_again"] == 2
     assert found["resident_bytes_max"] > 10**6
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
-        told = [
+        payloads = [
             json.loads(text)
             for (text,) in database.execute("SELECT payload FROM events WHERE topic = 'machine'")
         ]
     database.close()
-    costs = [sum(one["stage_s"].values()) - one["stage_s"]["strike_and_read_s"] for one in told]
+    costs = [sum(item["stage_s"].values()) - item["stage_s"]["strike_and_read_s"] for item in payloads]
     assert found["line_cost_max_s"] == pytest.approx(max(costs), abs=1e-9)
     assert found["line_cost_p50_s"] == pytest.approx(sorted(costs)[(len(costs) - 1) // 2], abs=1e-9)
 
@@ -357,16 +357,16 @@ def number(value, **changes):
         (number(None, missing="no", applies=False), "does not apply"),
     ],
 )
-def test_a_limit_is_kept_by_a_whole_interval(found, state):
-    asked = Criterion(quantity="x", sense="at most", limit=1.0)
-    assert [item.state for item in compared([asked], {"x": found})] == [state]
+def test_a_limit_applies_to_the_whole_interval(found, state):
+    criterion = Criterion(quantity="x", sense="at most", limit=1.0)
+    assert [item.state for item in compared([criterion], {"x": found})] == [state]
     value, low, high = (None if end is None else -end for end in (found.value, found.high, found.low))
     mirrored = replace(found, value=value, low=low, high=high)
-    below = replace(asked, sense="at least", limit=-1.0)
+    below = replace(criterion, sense="at least", limit=-1.0)
     assert [item.state for item in compared([below], {"x": mirrored})] == [state]
 
 
-def test_the_verdict_is_that_of_the_worst_that_was_asked_for():
+def test_the_outcome_is_that_of_the_worst_criterion():
     criteria = [Criterion(quantity=name, sense="at most", limit=1.0) for name in "ab"]
     fine, bad, open_ = number(1.0), number(2.0), number(None, missing="?")
     assert outcome(compared(criteria, {"a": fine, "b": fine})) == "pass"
@@ -377,8 +377,8 @@ def test_the_verdict_is_that_of_the_worst_that_was_asked_for():
 
 
 def test_limits_are_overridden_by_name(faulty):
-    assert states(made_of(faulty))["sets_taken_fraction"] == "fail"
-    found = states(made_of(faulty, "sets_taken_fraction=0.75", "longest_gap_h=1.4", "unplanned_ends=off"))
+    assert states(report_of(faulty))["sets_taken_fraction"] == "fail"
+    found = states(report_of(faulty, "sets_taken_fraction=0.75", "longest_gap_h=1.4", "unplanned_ends=off"))
     assert [found[name] for name in ("sets_taken_fraction", "longest_gap_h", "unplanned_ends")] == [
         "pass",
         "fail",
@@ -387,18 +387,18 @@ def test_limits_are_overridden_by_name(faulty):
 
 
 @pytest.mark.parametrize("text", ["longest_gap_h", "nobody=1", "longest_gap_h=long", "longest_gap_h=nan"])
-def test_a_limit_that_is_none_is_refused(text):
+def test_an_invalid_limit_is_rejected(text):
     with pytest.raises(UsageError, match=re.escape(text)):
         with_limits([text])
 
 
-def test_the_how_to_tells_every_limit():
-    told = {}
+def test_the_how_to_lists_every_limit():
+    limits = {}
     for line in HOW_TO.read_text(encoding="utf-8").splitlines():
         if found := re.match(r"\| (`.*`) \| (at (?:least|most)) ([\d.,]+) \|", line):
             limit = float(found[3].replace(",", ""))
-            told |= dict.fromkeys(re.findall(r"`(\w+)`", found[1]), (found[2], limit))
-    assert told == {item.quantity: (item.sense, item.limit) for item in DEFAULTS}
+            limits |= dict.fromkeys(re.findall(r"`(\w+)`", found[1]), (found[2], limit))
+    assert limits == {item.quantity: (item.sense, item.limit) for item in DEFAULTS}
 
 
 def test_quantiles_are_values_that_were_measured():
@@ -407,7 +407,7 @@ def test_quantiles_are_values_that_were_measured():
 
 
 @pytest.mark.parametrize(
-    ("told", "text"),
+    ("arguments", "text"),
     [
         (("B", 12_345_678), "12.35 MB"),
         (("B a 1,000 sets", -2.5e3, -3e3, 1e3), "-2.5 (-3 to 1) kB a 1,000 sets"),
@@ -416,57 +416,57 @@ def test_quantiles_are_values_that_were_measured():
         (("s", None), "not known"),
     ],
 )
-def test_a_number_is_shown_with_its_unit(told, text):
-    assert shown(*told) == text
+def test_a_number_is_shown_with_its_unit(arguments, text):
+    assert shown(*arguments) == text
 
 
-# The word --------------------------------------------------------------------------------------------
+# The outcome -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Folder of a short test on the twin with files, as it was recorded."""
+    """Return the folder of a short test on the twin with files."""
     return lay_out(tmp_path_factory.mktemp("recorded") / "data")
 
 
-def test_the_page_stands_alone_and_tells_everything(recorded, tmp_path):
+def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     page, file = tmp_path / "c.html", tmp_path / "c.json"
     code, printed = certify("--data-dir", recorded, "--html", page, "--json", file, "--verify")
-    told = json.loads(file.read_bytes())
-    # Three sets say nothing of memory: not certified, but nothing is broken.
-    assert (code, told["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
+    report = json.loads(file.read_bytes())
+    # Three sets are too few for the memory trend: incomplete, but not failed.
+    assert (code, report["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
     html = page.read_text(encoding="utf-8")
     assert "<title>Certificate of the test" in html
     sources = re.findall(r"(?:src|href)='([^']*)'", html)
-    drawn = [name for name, one in told["series"].items() if one["values"]]
+    drawn = [name for name, one in report["series"].items() if one["values"]]
     assert len(sources) == len(drawn) >= 6
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert not re.search(r"https?:|url\(|@import|<script", html)
-    for item in told["quantities"].values():
+    for item in report["quantities"].values():
         assert markup.escape(item["text"]) in html
-    for name in ("solimon", "numpy", told["identity"]["configuration"], "instruments", "machine"):
+    for name in ("solimon", "numpy", report["identity"]["configuration"], "instruments", "machine"):
         assert name in html
-    assert told["quantities"]["damage_found"]["value"] == 0
-    assert told["identity"]["instruments"].startswith("rig simulated")
+    assert report["quantities"]["damage_found"]["value"] == 0
+    assert report["identity"]["instruments"].startswith("rig simulated")
 
 
 def test_the_shape_of_the_json(recorded):
     code, printed = certify("--data-dir", recorded, "--json")
-    told = json.loads(printed)
-    assert (code, told["solimon_certificate"]) == (6, "1")
-    assert list(told) == [
+    report = json.loads(printed)
+    assert (code, report["solimon_certificate"]) == (6, "1")
+    assert list(report) == [
         *("solimon_certificate", "made_utc", "made_by", "verdict", "criteria", "identity"),
         *("quantities", "tables", "series", "notes"),
     ]
-    assert [item["quantity"] for item in told["criteria"]] == [item.quantity for item in DEFAULTS]
-    assert all(item["unit"] and item["state"] for item in told["criteria"])
-    assert set(next(iter(told["quantities"].values()))) == {
+    assert [item["quantity"] for item in report["criteria"]] == [item.quantity for item in DEFAULTS]
+    assert all(item["unit"] and item["state"] for item in report["criteria"])
+    assert set(next(iter(report["quantities"].values()))) == {
         *("section", "text", "unit", "how", "value", "low", "high", "missing", "applies"),
     }
 
 
 def test_files_of_the_sets_are_those_on_the_disk_and_near_the_forecast(recorded):
-    found = numbers(made_of(recorded))
+    found = numbers(report_of(recorded))
     sizes = [path.stat().st_size for path in (recorded / "sets").glob("*.h5")]
     assert found["files_bytes"] == sum(sizes) > 0
     assert found["growth_bytes"] == pytest.approx(1000 * np.mean(sizes))
@@ -488,47 +488,47 @@ def test_a_test_that_keeps_every_limit_passes_with_exit_code_0(recorded):
     assert (code, printed.splitlines()[-1]) == (0, "verdict: pass")
 
 
-def test_damage_that_verify_finds_is_told_and_fails(tmp_path):
+def test_corruption_found_by_verify_fails_the_report(tmp_path):
     folder = lay_out(tmp_path / "data")
     victim = sorted((folder / "sets").glob("*.h5"))[1]
     content = bytearray(victim.read_bytes())
     content[len(content) // 2] ^= 0x10
     victim.write_bytes(content)
     code, printed = certify("--data-dir", folder, "--verify", "--json")
-    told = json.loads(printed)
-    assert (code, told["verdict"]) == (6, "fail")
-    assert told["quantities"]["damage_found"]["value"] >= 1
-    assert any(victim.name in note for note in told["notes"])
+    report = json.loads(printed)
+    assert (code, report["verdict"]) == (6, "fail")
+    assert report["quantities"]["damage_found"]["value"] >= 1
+    assert any(victim.name in note for note in report["notes"])
 
 
-def test_looking_changes_nothing_in_the_folder(recorded, tmp_path):
+def test_the_report_changes_nothing_in_the_folder(recorded, tmp_path):
     before = state_of(recorded)
     certify("--data-dir", recorded, "--json", tmp_path / "c.json", "--verify")
     assert state_of(recorded) == before
 
 
-def test_an_older_folder_is_certified_as_far_as_it_goes_and_stays_as_it_is(tmp_path):
+def test_an_older_folder_is_reported_as_far_as_possible_and_unchanged(tmp_path):
     with tarfile.open(FOLDERS / "c3c2e28.tar.xz") as archive:
         archive.extractall(tmp_path, filter="data")
     before = state_of(tmp_path)
     code, printed = certify("--data-dir", tmp_path, "--json")
     assert state_of(tmp_path) == before
-    told = json.loads(printed)
+    report = json.loads(printed)
     assert code == 6
-    assert told["quantities"]["sets_taken"]["value"] > 0
+    assert report["quantities"]["sets_taken"]["value"] > 0
     for name in ("resident_bytes_max", "line_cost_max_s", "free_bytes_min"):
-        assert told["quantities"][name]["value"] is None
-        assert "not kept by the solimon that recorded" in told["quantities"][name]["missing"]
+        assert report["quantities"][name]["value"] is None
+        assert "not kept by the solimon that recorded" in report["quantities"][name]["missing"]
 
 
-def test_a_damaged_catalogue_is_told_by_its_own_name(tmp_path):
+def test_a_corrupt_catalogue_is_reported_with_its_path(tmp_path):
     folder = lay_out(tmp_path / "data")
     with sqlite3.connect(folder / "catalogue.sqlite") as database:
         database.execute("UPDATE sets SET n_valid = n_valid + 1 WHERE id = 2")
     database.close()
-    code, told = certify("--data-dir", folder)
+    code, printed = certify("--data-dir", folder)
     assert code == 4
-    assert told.startswith(f"{folder / 'catalogue.sqlite'} is damaged: row 2 of table sets")
+    assert printed.startswith(f"{folder / 'catalogue.sqlite'} is damaged: row 2 of table sets")
 
 
 def test_a_file_that_exists_or_lies_among_the_test_s_own_is_refused(recorded, tmp_path):
@@ -546,6 +546,6 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
     assert certify("--data-dir", tmp_path)[0] == 4
 
 
-def test_the_json_holds_what_the_certificate_says(faulty):
-    made = made_of(faulty)
-    assert json.loads(json.dumps(as_json(made), allow_nan=False))["verdict"] == made.outcome
+def test_the_json_agrees_with_the_report(faulty):
+    report = report_of(faulty)
+    assert json.loads(json.dumps(as_json(report), allow_nan=False))["verdict"] == report.outcome

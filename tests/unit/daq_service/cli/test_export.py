@@ -1,4 +1,4 @@
-"""One file of a whole test: its records are those of the sets' files, its columns those of the catalogue."""
+"""Export of a whole test to one file: its records equal the set files, its columns the catalogue."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ SETS = 3
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    """A folder whose recorder runs; its name is one that HDF5 could misunderstand."""
+    """Return a folder whose recorder runs; its name has characters that HDF5 could misread."""
     folder = tmp_path_factory.mktemp("data") / "50%b Ø"
     folder.mkdir()
     filled = FilledFolder(folder, Settings(), shots_per_set=2)
@@ -43,20 +43,20 @@ def running(tmp_path_factory):
 
 @pytest.fixture
 def folder(running, tmp_path):
-    """A copy of it in which no recorder runs."""
+    """Return a copy of the folder without a recorder."""
     return shutil.copytree(running, tmp_path / "data")
 
 
-def solimon(*words):
-    """Exit code, and standard output or the error."""
-    done = CliRunner().invoke(cli, [*map(str, words), "--json"])
+def solimon(*arguments):
+    """Run the command; return the exit code and standard output or the error."""
+    done = CliRunner().invoke(cli, [*map(str, arguments), "--json"])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return done.exception.exit_code, str(done.exception)
     return done.exit_code, json.loads(done.stdout)
 
 
 def records_of(folder, position):
-    """Records of all sets that have a file, in their order."""
+    """Return the records of all sets with a file, in order."""
     return [
         record
         for path in set_files(folder).values()
@@ -65,11 +65,11 @@ def records_of(folder, position):
     ]
 
 
-def test_a_running_test_gives_every_record_with_its_volts_and_times(running, tmp_path):
-    told = export_hdf5(running, tmp_path / "all.h5")
-    assert (told.sets, told.waiting, told.left_out) == (SETS, 0, {})
+def test_a_running_test_exports_every_record_with_voltages_and_times(running, tmp_path):
+    result = export_hdf5(running, tmp_path / "all.h5")
+    assert (result.sets, result.waiting, result.left_out) == (SETS, 0, {})
     with h5py.File(tmp_path / "all.h5") as file:
-        assert told.arrays["B_waveforms"] == file["entry/B_waveforms/waveform"].shape
+        assert result.arrays["B_waveforms"] == file["entry/B_waveforms/waveform"].shape
         assert file["entry/B_waveforms/waveform"].is_virtual
         for name, signal in (
             ("A_pulse_echo", "record"),
@@ -118,7 +118,7 @@ def test_columns_are_the_catalogue_s_with_their_units(running, tmp_path):
         assert configuration == catalogue.experiment_row().configuration
 
 
-def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_path):
+def test_records_of_another_length_have_a_separate_array(folder, tmp_path):
     path = set_files(folder)[1]
     record = read_set(path)
     shorter = [
@@ -128,11 +128,11 @@ def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_pa
         for shot in record.shots
     ]
     path.write_bytes(build_image(replace(record, shots=shorter)))
-    told = export_hdf5(folder, tmp_path / "all.h5")
+    result = export_hdf5(folder, tmp_path / "all.h5")
     n_samples = shorter[0].waveform.counts.size
-    assert told.arrays["B_waveforms"] == (4, n_samples + 100)
-    assert told.arrays["B_waveforms_2"] == (2, n_samples)
-    assert told.arrays["C_waveforms"] == (6, n_samples + 100)
+    assert result.arrays["B_waveforms"] == (4, n_samples + 100)
+    assert result.arrays["B_waveforms_2"] == (2, n_samples)
+    assert result.arrays["C_waveforms"] == (6, n_samples + 100)
     with h5py.File(tmp_path / "all.h5") as file:
         assert file["entry/B_waveforms/set_index"][()].tolist() == [0, 0, 2, 2]
         assert file["entry/B_waveforms_2/set_index"][()].tolist() == [1, 1]
@@ -142,19 +142,19 @@ def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_pa
         )
 
 
-def test_missing_and_damaged_files_are_left_out_and_told(folder, tmp_path):
+def test_missing_and_corrupt_files_are_left_out_and_listed(folder, tmp_path):
     files = set_files(folder)
     files[0].unlink()
     files[2].write_bytes(files[2].read_bytes()[:3000])
-    code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
-    assert (code, told["sets"], told["waiting"], told["ok"]) == (4, 1, 0, False)
-    assert sorted(told["left_out"]) == sorted(f"sets/{files[index].name}" for index in (0, 2))
+    code, answer = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, answer["sets"], answer["waiting"], answer["ok"]) == (4, 1, 0, False)
+    assert sorted(answer["left_out"]) == sorted(f"sets/{files[index].name}" for index in (0, 2))
     with h5py.File(tmp_path / "all.h5") as file:
         assert set(file["entry/B_waveforms/set_index"][()]) == {1}
         assert file["entry/B_sets/set_index"][()].tolist() == [0, 1, 2], "its rows are there all the same"
 
 
-def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
+def test_a_set_in_the_journal_is_no_corruption(folder, tmp_path):
     path = set_files(folder)[2]
     record = read_set(path)
     path.unlink()
@@ -163,8 +163,8 @@ def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)
-        code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
-    assert (code, told["sets"], told["waiting"], told["left_out"]) == (0, 2, 1, {})
+        code, answer = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, answer["sets"], answer["waiting"], answer["left_out"]) == (0, 2, 1, {})
 
 
 def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder, tmp_path):
@@ -183,19 +183,21 @@ def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder
         assert np.ptp(records[2]) > 0
 
 
-@pytest.mark.parametrize("place", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"])
-def test_what_cannot_be_meant_is_refused_with_code_2(folder, tmp_path, place):
+@pytest.mark.parametrize(
+    "target_kind", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"]
+)
+def test_an_invalid_export_is_rejected_with_code_2(folder, tmp_path, target_kind):
     (tmp_path / "empty").mkdir()
-    source, target = folder, folder / place
-    if place in ("nowhere", "empty"):
-        source, target = tmp_path / place, tmp_path / "all.h5"
+    source, target = folder, folder / target_kind
+    if target_kind in ("nowhere", "empty"):
+        source, target = tmp_path / target_kind, tmp_path / "all.h5"
     before = sorted(path.name for path in tmp_path.rglob("*"))
-    code, told = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
-    assert code == 2, told
+    code, answer = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
+    assert code == 2, answer
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
-def test_a_file_is_replaced_only_when_told_and_only_as_a_whole(folder, tmp_path, monkeypatch):
+def test_a_file_is_replaced_only_with_overwrite_and_only_completely(folder, tmp_path, monkeypatch):
     target = tmp_path / "all.h5"
     target.write_bytes(b"kept")
     with pytest.raises(UsageError, match="--overwrite"):
@@ -215,18 +217,18 @@ def test_a_file_is_replaced_only_when_told_and_only_as_a_whole(folder, tmp_path,
 
 
 def test_progress_counts_the_sets(running, tmp_path):
-    told = []
-    export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: told.append((done, planned)))
-    assert told == [(done, SETS) for done in range(SETS + 1)]
+    calls = []
+    export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: calls.append((done, planned)))
+    assert calls == [(done, SETS) for done in range(SETS + 1)]
 
 
 def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
     asked = ("--table", "features", "--position", "B", "--from-h", 0.6, "--fields", "tof_pp_s")
     endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
     outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
-    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
-    assert (code, told["ok"]) == (0, True)
-    assert [(file["table"], Path(file["file"]).suffix[1:]) for file in told["files"]] == [
+    code, answer = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, answer["ok"]) == (0, True)
+    assert [(file["table"], Path(file["file"]).suffix[1:]) for file in answer["files"]] == [
         ("features", ending) for ending in endings
     ]
     with open_catalogue(running) as catalogue:
@@ -250,9 +252,9 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
     endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
     outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
     asked = ("--waveforms", "B", "--first-set", 0, "--last-set", 1)
-    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
-    assert (code, told["ok"]) == (0, True)
-    assert [file["table"] for file in told["files"]] == ["waveforms"] * len(endings)
+    code, answer = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, answer["ok"]) == (0, True)
+    assert [file["table"] for file in answer["files"]] == ["waveforms"] * len(endings)
     stored = [read_set(path) for path in list(set_files(running).values())[:2]]
     expected = [shot.waveform.volts() for taken in stored for shot in taken.shots if shot.key.position == "B"]
     read = {
@@ -269,7 +271,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
         (("--table", "sets"), "wants --out"),
@@ -287,17 +289,17 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
         (("--waveforms", "B", "--from-h", 900, "--out", "a.h5"), "no record of position B"),
     ],
 )
-def test_an_export_that_cannot_be_is_refused_before_anything_is_written(
-    words, said, running, tmp_path, monkeypatch
+def test_an_impossible_export_is_rejected_before_any_file_is_written(
+    arguments, message, running, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    code, told = solimon("export", "--data-dir", running, *words)
+    code, answer = solimon("export", "--data-dir", running, *arguments)
     assert code == UsageError.exit_code
-    assert said in told
+    assert message in answer
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_table_is_whole_or_not_there(running, tmp_path, monkeypatch):
+def test_a_table_is_complete_or_absent(running, tmp_path, monkeypatch):
     target = tmp_path / "a.csv"
     target.write_text("older")
     assert solimon("export", "--data-dir", running, "--table", "sets", "--out", target)[0] == 2
@@ -307,7 +309,7 @@ def test_a_table_is_whole_or_not_there(running, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(shared_file, "write_all", full)
-    code, told = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
+    code, answer = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
     assert (code, target.read_text()) == (4, "older")
-    assert "free or mend the disk" in told
+    assert "free or mend the disk" in answer
     assert list(tmp_path.iterdir()) == [target]

@@ -1,4 +1,4 @@
-"""`solimon init`: what is written loads and runs as it is, or says what is missing."""
+"""`solimon init`: the written file loads and runs, or names the missing values."""
 
 import json
 import tomllib
@@ -27,7 +27,7 @@ def init(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, ["init", *map(str, arguments)])
 
 
-def written(*arguments: str | Path) -> dict[str, Any]:
+def write_configuration(*arguments: str | Path) -> dict[str, Any]:
     result = init(*arguments, "--json")
     assert result.exception is None, result.exception
     return json.loads(result.stdout)
@@ -41,8 +41,8 @@ def refusal(*arguments: str | Path) -> str:
 
 def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
     file = tmp_path / "twin.toml"
-    told = written("twin", file)
-    assert told == {
+    answer = write_configuration("twin", file)
+    assert answer == {
         "kind": "twin",
         "file": str(file),
         "schema": str(tmp_path / "settings.schema.json"),
@@ -56,18 +56,18 @@ def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
 
 
 def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path: Path) -> None:
-    told = written("rig", tmp_path / "lab.toml")
+    answer = write_configuration("rig", tmp_path / "lab.toml")
     shipped = config_file("laboratory.toml")
     assert (tmp_path / "lab.toml").read_bytes() == shipped.read_bytes(), (
         "renew it: solimon init rig NEW, then NEW in the place of config/laboratory.toml"
     )
-    assert len(told["placeholders"]) == 7
-    assert "rig.supply.line.port" in told["placeholders"]
+    assert len(answer["placeholders"]) == 7
+    assert "rig.supply.line.port" in answer["placeholders"]
 
 
 @pytest.mark.parametrize("command", ["check-config", "run", "record", "doctor", "serve", "status"])
-def test_no_command_takes_a_rig_that_is_not_finished(command: str, tmp_path: Path) -> None:
-    written("rig", tmp_path / "lab.toml")
+def test_no_command_accepts_a_rig_with_placeholders(command: str, tmp_path: Path) -> None:
+    write_configuration("rig", tmp_path / "lab.toml")
     data = tmp_path / "data"
     error = CliRunner().invoke(cli, [command, str(tmp_path / "lab.toml"), "--data-dir", str(data)]).exception
     assert isinstance(error, UsageError)
@@ -77,8 +77,8 @@ def test_no_command_takes_a_rig_that_is_not_finished(command: str, tmp_path: Pat
 
 
 def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
-    told = written("rig", tmp_path / "lab.toml", *LAB, "--set", "schedule.shots_per_set=12")
-    assert told["placeholders"] == []
+    answer = write_configuration("rig", tmp_path / "lab.toml", *LAB, "--set", "schedule.shots_per_set=12")
+    assert answer["placeholders"] == []
     settings = load_settings(tmp_path / "lab.toml")
     assert {wiring.board_serial for wiring in settings.rig.daqmx.transducers.values()} == {"01A2B3C4"}
     assert settings.schedule.shots_per_set == 12
@@ -87,8 +87,8 @@ def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
 def test_tables_are_switched_on_and_off(tmp_path: Path) -> None:
     file = tmp_path / "lab.toml"
     without = ["--without", "rig.niscope", "--without", "positions.A", "--without", "rig.supply"]
-    told = written("rig", file, *without, "--with", "rig.climate", *LAB[:2])
-    assert told["placeholders"] == ["rig.climate.identity", "rig.climate.line.port"]
+    answer = write_configuration("rig", file, *without, "--with", "rig.climate", *LAB[:2])
+    assert answer["placeholders"] == ["rig.climate.identity", "rig.climate.line.port"]
     rig = tomllib.loads(file.read_text(encoding="utf-8"))["rig"]
     assert [name for name, value in rig.items() if isinstance(value, dict)] == ["daqmx", "climate"]
     assert '\n#[rig.supply.line]\n#port = "PLACEHOLDER" ' in file.read_text(encoding="utf-8")
@@ -98,7 +98,7 @@ def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path: Path
     recording = tmp_path / "recording"
     assert run(small_settings(schedule={"end_h": 0.5}, clock={"epoch": "2025-03-01T00:00:00Z"}), recording)
     file = tmp_path / "playback.toml"
-    assert written("playback", file, "--source", recording)["placeholders"] == []
+    assert write_configuration("playback", file, "--source", recording)["placeholders"] == []
     settings = load_settings(file)
     assert run(settings, tmp_path / "played")
     assert rows_of(tmp_path / "played")["set_features"] == rows_of(recording)["set_features"] != []
@@ -106,14 +106,14 @@ def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path: Path
 
 def test_a_recording_of_labview_has_its_names_written_down(tmp_path: Path) -> None:
     (tmp_path / "labview").mkdir()
-    written("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
+    write_configuration("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
     playback = load_settings(tmp_path / "playback.toml").rig.playback
     assert playback is not None
     assert (playback.format, playback.source) == ("tdms", tmp_path / "labview")
     assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
 
 
-def test_nothing_is_written_over(tmp_path: Path) -> None:
+def test_no_file_is_overwritten(tmp_path: Path) -> None:
     file, schema = tmp_path / "twin.toml", tmp_path / "settings.schema.json"
     file.write_text("mine")
     assert "is not written over" in refusal("twin", file)
@@ -130,7 +130,7 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (["twin", "--source", "."], "--source names the recording"),
         (["playback"], "--source names the recording"),
@@ -141,9 +141,9 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
         (["rig", "--with", "rig.climat"], "did you mean rig.climate?"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_written(
-    arguments: list[str], words: str, tmp_path: Path
+def test_an_impossible_request_is_rejected_before_the_file_is_written(
+    arguments: list[str], message: str, tmp_path: Path
 ) -> None:
     kind, *options = arguments
-    assert words in refusal(kind, tmp_path / "new.toml", *options)
+    assert message in refusal(kind, tmp_path / "new.toml", *options)
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""What `check-config` says of a planned test."""
+"""Output of `check-config` for a planned test."""
 
 from pathlib import Path
 
@@ -24,14 +24,14 @@ NEEDS = "it needs at least 15, 200 and more are advised"
         ),
     ],
 )
-def test_a_baseline_that_could_judge_nothing_is_warned_of(
+def test_a_baseline_without_possible_assessments_causes_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, n_sets: int, warning: str
 ) -> None:
     (tmp_path / "test.toml").write_text(text, encoding="utf-8")
     print_configuration(
         config=tmp_path / "test.toml", data_dir=tmp_path / "data", schema=False, as_json=False
     )
-    told = capsys.readouterr()
-    assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in told.out
+    printed = capsys.readouterr()
+    assert f"baseline   {n_sets} sets planned for each transducer; {NEEDS}\n" in printed.out
     whole = f"WARNING: nothing would be judged: {warning}of each transducer; {NEEDS}, and sets behind it\n"
-    assert told.err == (whole if warning else "")
+    assert printed.err == (whole if warning else "")

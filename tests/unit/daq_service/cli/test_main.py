@@ -1,4 +1,4 @@
-"""Every end of a command is a code of the table and one line; every word and option is explained."""
+"""Every command ends with a documented exit code and one line; every command and option has a help text."""
 
 import os
 import re
@@ -21,14 +21,14 @@ from daq_service.processes.supervisor import FINAL_CODES
 
 
 @pytest.mark.parametrize(
-    ("raised", "code", "words"),
+    ("raised", "code", "message"),
     [
         (KeyError("thickness_m"), 1, "KeyError: 'thickness_m'"),
         (OSError(24, "Too many open files"), 1, "Too many open files"),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )
-def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, raised, code, words):
+def test_an_unexpected_error_is_one_line_with_its_source_line(monkeypatch, tmp_path, raised, code, message):
     def fail(folder, settings):
         raise raised
 
@@ -37,7 +37,7 @@ def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, r
     (line,) = filter(None, done.stderr.splitlines())  # click moves on to a new line first
     assert (done.returncode, done.stdout) == (code, "")
     assert line.startswith("solimon: ")
-    assert words in line
+    assert message in line
     assert ("command.py, line " in line or "test_main.py, line " in line) == (code == 1)
 
 
@@ -47,7 +47,7 @@ def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, r
     [CatalogueBusyError("locked"), CatalogueWriteError("full"), ArchiveWriteError("read-only")],
     ids=str,
 )
-def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_tried_again(
+def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
     monkeypatch, tmp_path, error, command
 ):
     def fail(*_args, **_options):
@@ -63,7 +63,7 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
 
 
 @pytest.mark.parametrize(
-    "words",
+    "command_line",
     [
         "status",
         "serve",
@@ -75,16 +75,16 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
         "supply --off",
     ],
 )
-def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -> None:
+def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line: str) -> None:
     folder = tmp_path / "solimno-data"
-    done = solimon_here(*words.split(), "--data-dir", str(folder), env={})
+    done = solimon_here(*command_line.split(), "--data-dir", str(folder), env={})
     assert (done.returncode, done.stdout) == (2, "")
     assert f"there is no data folder {folder}; name the folder" in done.stderr
     assert not folder.exists()
 
 
 @pytest.mark.parametrize(
-    ("words", "asked"),
+    ("command_line", "asked"),
     [
         ("hold", "Why is the test held"),
         ("hold --reason door", ""),
@@ -92,8 +92,8 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
         ("renew-baseline --position B", "Why is the baseline retired"),
     ],
 )
-def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
-    monkeypatch: pytest.MonkeyPatch, words: str, asked: str
+def test_at_a_terminal_a_command_asks_for_its_reason(
+    monkeypatch: pytest.MonkeyPatch, command_line: str, asked: str
 ) -> None:
     given: list[str] = []
 
@@ -105,25 +105,25 @@ def test_at_a_terminal_an_order_asks_for_the_reason_that_it_needs(
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     questions: list[str] = []
     monkeypatch.setattr("click.prompt", lambda text, **options: questions.append(text) or "hands in the rig")
-    assert solimon_here(*words.split(), env={}).returncode == 0
+    assert solimon_here(*command_line.split(), env={}).returncode == 0
     assert questions == ([asked] if asked else [])
-    assert given == (["hands in the rig"] if asked else ["door"] if "door" in words else [""])
+    assert given == (["hands in the rig"] if asked else ["door"] if "door" in command_line else [""])
 
 
-def test_a_renewal_without_a_reason_is_told_which_option_gives_it(tmp_path: Path) -> None:
+def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path: Path) -> None:
     done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 2
     assert "--reason 'the sensor was coupled anew'" in done.stderr
 
 
-def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:
+def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
     done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 
 
-def test_a_web_service_of_a_test_that_has_begun_waits_for_its_folder(tmp_path: Path) -> None:
-    """Its supervisor started it again: the disk may come back."""
+def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
+    """Its supervisor restarted it: the disk may be available again later."""
     folder = tmp_path / "data"
     again = ("--restart-reason", "crashed")
     done = solimon_here("serve", "--data-dir", str(folder), *again, env={})
@@ -133,12 +133,12 @@ def test_a_web_service_of_a_test_that_has_begun_waits_for_its_folder(tmp_path: P
 
 def test_no_summary_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    told = CliRunner().invoke(cli, ["--help"]).stdout
-    assert "..." not in told.partition("Commands:")[2]
+    help_text = CliRunner().invoke(cli, ["--help"]).stdout
+    assert "..." not in help_text.partition("Commands:")[2]
     for name, word in cli.commands.items():
         summary = " ".join((word.help or "").partition("\n\n")[0].split())
-        assert summary.partition(". ")[0].rstrip(".") in " ".join(told.split()), name
-    assert max(len(line) for line in told.splitlines()) <= 80
+        assert summary.partition(". ")[0].rstrip(".") in " ".join(help_text.split()), name
+    assert max(len(line) for line in help_text.splitlines()) <= 80
 
 
 def test_every_option_is_described() -> None:
@@ -165,7 +165,7 @@ main()
 """
 
 
-def test_the_first_words_of_the_demo_come_before_anything_is_imported() -> None:
+def test_the_demo_prints_its_first_line_before_the_imports() -> None:
     done = subprocess.run([sys.executable, "-c", FIRST_WORDS], capture_output=True, text=True, check=True)
     assert done.stderr.startswith("solimon demo: ")
     assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}
@@ -193,12 +193,12 @@ def test_the_recorder_imports_no_compiler_plots_web_or_drivers() -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_shell_is_told_how_to_complete(shell: str) -> None:
+def test_each_shell_gets_its_completion_script(shell: str) -> None:
     done = solimon_here("completion", shell, env={})
     assert done.returncode == 0
     assert f"_SOLIMON_COMPLETE={shell}_complete" in done.stdout
-    told = CliRunner().invoke(cli, ["completion", "--help"]).stdout
-    assert re.search(rf"{shell}: .*solimon completion {shell}", told)
+    help_text = CliRunner().invoke(cli, ["completion", "--help"]).stdout
+    assert re.search(rf"{shell}: .*solimon completion {shell}", help_text)
 
 
 @pytest.mark.skipif(shutil.which("bash") is None or os.name == "nt", reason="needs bash")

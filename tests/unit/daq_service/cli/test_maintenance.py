@@ -1,4 +1,4 @@
-"""A folder that is looked at, mended and copied; beside a recorder, and with every kind of damage."""
+"""Verification, repair and backup of a folder, during a test and with every kind of corruption."""
 
 import json
 import os
@@ -51,8 +51,8 @@ def folder(tmp_path):
 
 
 def solimon(*arguments):
-    said = solimon_here(*map(str, arguments), "--json", env={})
-    return said.returncode, json.loads(said.stdout) if said.stdout else said.stderr
+    completed = solimon_here(*map(str, arguments), "--json", env={})
+    return completed.returncode, json.loads(completed.stdout) if completed.stdout else completed.stderr
 
 
 def kinds(folder):
@@ -71,7 +71,7 @@ def change(folder, sql):
 
 
 def hit_a_record(folder, index):
-    """Damage the first record of position B, and return its id."""
+    """Corrupt the first record of position B and return its id."""
     record = FolderSetReader(folder).read_set(FILES[index])
     shot = next(item for item in record.shots if item.key.position == "B")
     content = (folder / FILES[index]).read_bytes()
@@ -84,22 +84,22 @@ def hit_a_record(folder, index):
 # verify --------------------------------------------------------------------------------------------
 
 
-def test_a_whole_folder_is_clean_and_nothing_in_it_is_touched(folder):
+def test_an_intact_folder_passes_and_is_unchanged(folder):
     before = state_of(folder)
-    code, said = solimon("verify", "--data-dir", folder)
-    assert (code, said["ok"], said["damage"]) == (0, True, [])
-    assert said["checked"].items() >= {"files": SETS, "shots": 10 * SETS, "sets_with_rows": SETS}.items()
+    code, answer = solimon("verify", "--data-dir", folder)
+    assert (code, answer["ok"], answer["damage"]) == (0, True, [])
+    assert answer["checked"].items() >= {"files": SETS, "shots": 10 * SETS, "sets_with_rows": SETS}.items()
     assert state_of(folder) == before
 
 
-def test_each_damage_is_named_with_exit_code_4(folder):
+def test_each_corruption_is_reported_with_exit_code_4(folder):
     shot_id = hit_a_record(folder, 0)
     (folder / FILES[1]).write_bytes(b"")
     (folder / FILES[2]).unlink()
     before = state_of(folder)
-    code, said = solimon("verify", "--data-dir", folder)
-    assert (code, said["ok"]) == (4, False)
-    found = {(item["kind"], item["file"], item["shot_id"]) for item in said["damage"]}
+    code, answer = solimon("verify", "--data-dir", folder)
+    assert (code, answer["ok"]) == (4, False)
+    found = {(item["kind"], item["file"], item["shot_id"]) for item in answer["damage"]}
     assert found == {
         ("shot", FILES[0], shot_id),
         ("set_touched", FILES[0], None),
@@ -107,7 +107,7 @@ def test_each_damage_is_named_with_exit_code_4(folder):
         ("set_touched", FILES[1], None),
         ("set_missing", FILES[2], None),
     }
-    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in said["damage"])
+    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in answer["damage"])
     assert state_of(folder) == before
 
 
@@ -135,7 +135,7 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
 
 
 @pytest.mark.parametrize(
-    ("sql", "told"),
+    ("sql", "message"),
     [
         ("UPDATE features SET tof_pp_s = 1.0 WHERE sequence = 12", "features, shot_id 12: tof_pp_s is 1.0"),
         ("UPDATE shots SET flags = '[\"noisy\"]' WHERE sequence = 12", "shot_id 12: flags is 'noisy'"),
@@ -148,17 +148,19 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
         ("DELETE FROM features WHERE sequence = 12", "features, shot_id 12: there is no row"),
     ],
 )
-def test_results_are_compared_with_their_copy_in_the_file(folder, sql, told):
+def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     change(folder, sql)
-    assert any(f"set 1, {told}" in item.told or told in item.told for item in verify_folder(folder).damage)
+    assert any(
+        f"set 1, {message}" in item.told or message in item.told for item in verify_folder(folder).damage
+    )
 
 
-def test_another_version_of_the_extractor_may_say_something_else(folder):
+def test_results_of_another_extractor_version_are_not_compared(folder):
     change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
     assert not any("in the file" in item.told for item in verify_folder(folder).damage)
 
 
-def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder):
+def test_missing_rows_before_later_ones_are_reported(folder):
     for table in ("features", "verdicts", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
@@ -195,8 +197,8 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
 
 
 def audit_three(folder):
-    for who in ("ann", "ben", "cleo"):
-        Audit(folder).tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+    for author in ("ann", "ben", "cleo"):
+        Audit(folder).tell(who=author, role="admin", source="terminal", what="hold", result="accepted")
 
 
 def notify_three(folder):
@@ -212,7 +214,7 @@ def notify_three(folder):
     ],
 )
 @pytest.mark.parametrize(
-    ("harm", "told"),
+    ("harm", "message"),
     [
         (lambda lines: [lines[0], lines[1].replace(b"ben", b"bob"), lines[2]], "damaged at line 2"),
         (lambda lines: [lines[0], lines[2]], "lacks its lines 2 to 2"),
@@ -220,16 +222,18 @@ def notify_three(folder):
     ],
     ids=["changed", "taken away", "torn"],
 )
-def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, told, write_three, kind, file, remedy):
+def test_a_changed_or_missing_line_of_a_log_is_corruption(
+    folder, harm, message, write_three, kind, file, remedy
+):
     write_three(folder)
     assert kinds(folder) == []
     path = folder / file
     path.write_bytes(b"".join(harm(path.read_bytes().splitlines(keepends=True))))
-    code, said = solimon("verify", "--data-dir", folder)
+    code, answer = solimon("verify", "--data-dir", folder)
     assert code == 4
-    (damage,) = said["damage"]
+    (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == (kind, file)
-    assert told in damage["told"]
+    assert message in damage["told"]
     assert remedy in damage["told"]
 
 
@@ -243,11 +247,11 @@ def end_of_history(folder, *, lines):
     [lambda folder: end_of_history(folder, lines=4), lambda folder: (folder / "history.jsonl").unlink()],
     ids=["cut off", "gone"],
 )
-def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_start(folder, harm):
+def test_a_history_shorter_than_the_catalogue_is_corruption_until_the_next_start(folder, harm):
     harm(folder)
-    code, said = solimon("verify", "--data-dir", folder)
+    code, answer = solimon("verify", "--data-dir", folder)
     assert code == 4
-    (damage,) = said["damage"]
+    (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == ("history", "history.jsonl")
     assert "history.jsonl ends before events" in damage["told"]
     assert run(small_settings(schedule={"end_h": (SETS + 1) * 0.5}), folder)
@@ -255,7 +259,7 @@ def test_a_history_that_ends_before_its_recorder_did_is_damage_until_the_next_st
 
 
 @pytest.mark.parametrize(("behind_s", "damage"), [(0.9, []), (61.0, [("history", "history.jsonl", None)])])
-def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behind_s, damage):
+def test_a_history_cut_by_a_crash_is_no_corruption(folder, behind_s, damage):
     end_of_history(folder, lines=12)
     with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
         last = database.execute("SELECT max(id) FROM events").fetchone()[0]
@@ -264,12 +268,12 @@ def test_what_a_crash_leaves_of_a_history_is_no_damage_but_more_is(folder, behin
         database.execute(
             "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
         )
-    # The times were moved in the catalogue alone, which differs from the history by that.
-    found = [one for one in kinds(folder) if one[0] not in ("row", "catalogue")]
+    # The times were moved in the catalogue alone, which therefore differs from the history.
+    found = [item for item in kinds(folder) if item[0] not in ("row", "catalogue")]
     assert found == damage
 
 
-def test_files_that_are_not_ours_are_noted_and_no_damage(folder):
+def test_foreign_files_are_listed_and_no_corruption(folder):
     (folder / "sets" / "notes.txt").write_text("wet")
     (folder / "sets" / "half.tmp").write_text("half")
     (folder / "quarantine").mkdir()
@@ -291,24 +295,24 @@ def test_a_lost_or_foreign_catalogue_is_named_and_the_files_are_checked_all_the_
     assert {item.kind for item in verify_folder(folder).damage} == {"catalogue", "set_unreadable"}
 
 
-def test_a_folder_without_a_test_is_no_clean_one(tmp_path):
+def test_a_folder_without_a_test_does_not_pass(tmp_path):
     for place in (tmp_path, tmp_path / "gone"):
-        code, said = solimon("verify", "--data-dir", place)
-        assert (code, "holds no test" in said) == (4, True)
+        code, answer = solimon("verify", "--data-dir", place)
+        assert (code, "holds no test" in answer) == (4, True)
 
 
 def values_of(folder):
-    """What a reader gets of all tables."""
+    """Return what a reader gets of all tables."""
     with open_catalogue(folder) as catalogue:
         return {kind: catalogue.rows(kind) for kind in KINDS_OF_ROWS}
 
 
 def one_damaged_catalogue(folder, number):
-    """Damage a copy; whether verify names it: what it does not name reads as it was written."""
+    """Corrupt a copy; return whether verify reports it, or check that it reads unchanged."""
     content = lay_out(folder).joinpath("catalogue.sqlite").read_bytes()
     before = values_of(folder)
-    for beside in folder.glob("catalogue.sqlite-*"):
-        beside.unlink()
+    for sidecar in folder.glob("catalogue.sqlite-*"):
+        sidecar.unlink()
     (folder / "catalogue.sqlite").write_bytes(damaged(content, number))
     if verify_folder(folder).damage:
         return True
@@ -321,15 +325,15 @@ def one_damaged_catalogue(folder, number):
     [range(8), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(8, 1008, 100))],
     ids=str,
 )
-def test_a_damaged_catalogue_is_named_or_says_what_it_said(tmp_path, numbers):
+def test_a_corrupt_catalogue_is_reported_or_reads_unchanged(tmp_path, numbers):
     assert sum(one_damaged_catalogue(tmp_path / "data", number) for number in numbers) > 0
 
 
-# Beside a recorder ---------------------------------------------------------------------------------
+# During a recording --------------------------------------------------------------------------------
 
 
-def test_beside_a_running_test_nothing_is_taken_for_damage(tmp_path):
-    """Looked at and copied between the strikes of every set, while sets move from the journal to files."""
+def test_verify_reports_no_corruption_while_a_test_runs(tmp_path):
+    """The folder is verified and copied between strikes while sets move from the journal to files."""
     settings = small_settings(schedule={**SMALL["schedule"], "end_h": 2.0})
     data, copy, looked = tmp_path / "data", tmp_path / "copy", []
 
@@ -346,7 +350,7 @@ def test_beside_a_running_test_nothing_is_taken_for_damage(tmp_path):
     assert verify_folder(data).damage == []
 
 
-def test_verify_never_takes_the_recorders_lock_and_gives_way(folder, monkeypatch):
+def test_verify_never_takes_the_recorders_lock(folder, monkeypatch):
     given = []
     monkeypatch.setattr(command.os, "nice", given.append, raising=False)
     with own_data_folder(folder):
@@ -356,7 +360,7 @@ def test_verify_never_takes_the_recorders_lock_and_gives_way(folder, monkeypatch
     assert len(given) == 1
 
 
-def test_repair_does_nothing_beside_a_recorder(folder, monkeypatch):
+def test_repair_does_nothing_while_a_recorder_runs(folder, monkeypatch):
     def owned(_folder):
         raise BusyError("another recorder owns it")
 
@@ -398,7 +402,7 @@ def test_neither_readers_nor_the_web_service_load_compiler_plots_or_drivers(fold
 # repair --------------------------------------------------------------------------------------------
 
 
-def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(folder, tmp_path):
+def test_repair_lists_steps_and_restores_a_lost_set_only_from_a_matching_backup(folder, tmp_path):
     copy = tmp_path / "copy"
     back_up(folder, copy)
     contents = {index: (folder / file).read_bytes() for index, file in FILES.items()}
@@ -406,32 +410,32 @@ def test_repair_says_first_and_takes_a_lost_set_only_from_a_backup_that_agrees(f
     (folder / FILES[1]).unlink()
     (folder / "sets" / "half.tmp").write_text("half")
     before = state_of(folder)
-    code, said = solimon("repair", "--data-dir", folder, "--from", copy)
-    assert (code, said["applied"], state_of(folder) == before) == (4, False, True)
-    does = {step["file"]: step["does"] for step in said["steps"]}
+    code, answer = solimon("repair", "--data-dir", folder, "--from", copy)
+    assert (code, answer["applied"], state_of(folder) == before) == (4, False, True)
+    does = {step["file"]: step["does"] for step in answer["steps"]}
     assert does == {"sets/half.tmp": "remove", FILES[0]: "from_backup", FILES[1]: "from_backup"}
-    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
-    assert (code, said["damage"]) == (0, [])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, answer["damage"]) == (0, [])
     assert {index: (folder / file).read_bytes() for index, file in FILES.items()} == contents
     assert [path.name for path in (folder / "quarantine").iterdir()] == [Path(FILES[0]).name]
     assert not (folder / "sets" / "half.tmp").exists()
 
 
-def test_repair_without_another_copy_leaves_what_can_be_read(folder, tmp_path):
+def test_repair_without_a_backup_keeps_readable_data(folder, tmp_path):
     hit_a_record(folder, 0)
     (folder / FILES[1]).unlink()
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, {step["does"] for step in answer["steps"]}) == (4, {"nothing"})
     assert (folder / FILES[0]).exists()
     copy = tmp_path / "copy"
     (copy / "sets").mkdir(parents=True)
     shutil.copy(folder / FILES[0], copy / FILES[0])  # damaged, too
     shutil.copy(folder / FILES[2], copy / FILES[1])  # another set
-    code, said = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
-    assert (code, {step["does"] for step in said["steps"]}) == (4, {"nothing"})
+    code, answer = solimon("repair", "--apply", "--data-dir", folder, "--from", copy)
+    assert (code, {step["does"] for step in answer["steps"]}) == (4, {"nothing"})
 
 
-def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside(folder):
+def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     record = FolderSetReader(folder).read_set(FILES[2])
     content = (folder / FILES[2]).read_bytes()
     (folder / FILES[2]).unlink()
@@ -442,15 +446,15 @@ def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside
         archive.store_set(record)
     assert kinds(folder) == []
     (folder / FILES[2]).write_bytes(content[:1000])
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, [step["does"] for step in said["steps"]]) == (0, ["from_journal"])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
     for table in ("features", "verdicts", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])
-    code, said = solimon("repair", "--apply", "--data-dir", folder)
-    assert (code, [step["does"] for step in said["steps"]]) == (0, ["set_aside"])
+    code, answer = solimon("repair", "--apply", "--data-dir", folder)
+    assert (code, [step["does"] for step in answer["steps"]]) == (0, ["set_aside"])
     assert not (folder / FILES[2]).exists()
 
 
@@ -459,19 +463,19 @@ def test_repair_makes_a_file_again_from_the_journal_and_sets_a_damaged_one_aside
 
 def test_a_backup_is_whole_incremental_and_opens_elsewhere(folder, tmp_path):
     copy, before = tmp_path / "copy", state_of(folder)
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["present"]) == (0, 0)
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["present"]) == (0, 0)
     assert rows_of(copy) == rows_of(folder)
     assert not {"recorder.lock", "heartbeat.json", "live"} & {path.name for path in copy.iterdir()}
     assert solimon("verify", "--data-dir", copy)[1]["damage"] == []
     kept = state_of(copy)
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["files"], said["present"]) == (0, 0, SETS)
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["files"], answer["present"]) == (0, 0, SETS)
     again = state_of(copy)
     assert {name: again[name] for name in FILES.values()} == {name: kept[name] for name in FILES.values()}
-    code, said = solimon("status", "--data-dir", copy)
-    assert (code, said["counts"]["sets"], said["lost"]) == (0, SETS, {})
-    assert said["recorder"].startswith("finished")
+    code, answer = solimon("status", "--data-dir", copy)
+    assert (code, answer["counts"]["sets"], answer["lost"]) == (0, SETS, {})
+    assert answer["recorder"].startswith("finished")
     assert {name: state_of(folder)[name] for name in before} == before
 
 
@@ -479,14 +483,14 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("all of it")
-    for place, why in (
+    for place, reason in (
         (folder / "copy", "lie within each other"),
         (tmp_path, "lie within each other"),
         (folder, "lie within each other"),
         (foreign, "is not empty and no backup"),
     ):
-        code, said = solimon("backup", place, "--data-dir", folder)
-        assert (code, why in said) == (4, True), said
+        code, answer = solimon("backup", place, "--data-dir", folder)
+        assert (code, reason in answer) == (4, True), answer
     assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
     copy = tmp_path / "copy"
     back_up(folder, copy)
@@ -499,7 +503,7 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
         back_up(folder, copy)
 
 
-def test_an_interrupted_backup_leaves_the_one_before_and_goes_on(folder, tmp_path, monkeypatch):
+def test_an_interrupted_backup_keeps_the_previous_one_and_can_continue(folder, tmp_path, monkeypatch):
     """The disk is full at each write in turn."""
     copy, real = tmp_path / "copy", backup.write_durably
     for refused in range(1, 2 + SETS):
@@ -524,7 +528,7 @@ def test_an_interrupted_backup_leaves_the_one_before_and_goes_on(folder, tmp_pat
     assert rows_of(copy) == rows_of(folder)
 
 
-def test_what_does_not_read_back_as_it_was_written_is_not_kept(folder, tmp_path, monkeypatch):
+def test_a_copy_that_reads_back_different_is_removed(folder, tmp_path, monkeypatch):
     real = backup.write_durably
 
     def changed(path, content, *, temporary):
@@ -536,14 +540,14 @@ def test_what_does_not_read_back_as_it_was_written_is_not_kept(folder, tmp_path,
     assert list((tmp_path / "copy").rglob("*.h5")) == []
 
 
-def test_a_damaged_file_never_replaces_a_good_copy_and_lies_in_the_quarantine_of_a_new_one(folder, tmp_path):
+def test_a_corrupt_file_never_replaces_a_good_copy_and_is_quarantined_in_a_new_backup(folder, tmp_path):
     good, new = tmp_path / "good", tmp_path / "new"
     back_up(folder, good)
     hit_a_record(folder, 0)
     back_up(folder, good)
     assert verify_folder(good).damage == []
-    code, said = solimon("backup", new, "--data-dir", folder)
-    assert (code, [item["file"] for item in said["damage"]]) == (4, [FILES[0]])
+    code, answer = solimon("backup", new, "--data-dir", folder)
+    assert (code, [item["file"] for item in answer["damage"]]) == (4, [FILES[0]])
     assert kinds(new) == [("set_missing", FILES[0], None)]
     assert [path.name for path in (new / "quarantine").iterdir()] == [Path(FILES[0]).name]
 
@@ -553,10 +557,10 @@ def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
     for index in (1, 2):
         (folder / FILES[index]).unlink()
     copy = tmp_path / "copy"
-    code, said = solimon("backup", copy, "--data-dir", folder)
-    assert (code, said["ok"]) == (4, False)
-    told = [(item["kind"], item["file"]) for item in said["damage"]]
-    assert told == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
+    code, answer = solimon("backup", copy, "--data-dir", folder)
+    assert (code, answer["ok"]) == (4, False)
+    damage = [(item["kind"], item["file"]) for item in answer["damage"]]
+    assert damage == [("set_unreadable", FILES[0]), ("set_missing", FILES[1]), ("set_missing", FILES[2])]
     assert kinds(copy) == [("set_missing", FILES[index], None) for index in range(3)]
 
 
@@ -582,10 +586,10 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     assert verify_folder(copy).damage == []
 
 
-# What is gone is told without reading ---------------------------------------------------------------
+# Missing files are reported without a read ----------------------------------------------------------
 
 
-def test_lost_and_emptied_sets_are_told_by_status(folder):
+def test_status_lists_missing_and_empty_sets(folder):
     with open_catalogue(folder) as catalogue:
         assert lost_sets(folder, catalogue) == {}
         (folder / FILES[0]).write_bytes(b"")
@@ -598,13 +602,13 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
 
 
 @pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])
-def test_a_lost_catalogue_is_told_by_status_and_by_the_web_service(folder, left):
+def test_status_and_web_service_report_a_lost_catalogue(folder, left):
     settings, _ = settings_of_folder(None, folder)
     for name in {"catalogue.sqlite", "experiment.json", "history.jsonl"} - left:
         (folder / name).unlink()
     remedy = f"`solimon rebuild --data-dir {folder}` makes it again"
-    code, said = solimon("status", "--data-dir", folder)
-    assert (code, remedy in said, "is lost" in said) == (4, True, True)
+    code, message = solimon("status", "--data-dir", folder)
+    assert (code, remedy in message, "is lost" in message) == (4, True, True)
     with served(settings, folder) as service, service.client() as api:
         answer = api.get("/readyz")
         assert (answer.status_code, answer.json()["type"]) == (503, "urn:solimon:problem:catalogue-lost")
@@ -613,7 +617,7 @@ def test_a_lost_catalogue_is_told_by_status_and_by_the_web_service(folder, left)
         assert api.get("/readyz").status_code == 200
 
 
-def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(folder):
+def test_status_checks_the_newest_sets_and_all_after_a_removal(folder):
     first, *_, newest = FILES.values()
     with open_catalogue(folder) as catalogue:
         n_positions = len(catalogue.positions_state())
@@ -626,14 +630,14 @@ def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(fol
         assert lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
         (folder / newest).write_bytes(content)
         (folder / first).unlink()
-        for after_s, told in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
+        for after_s, expected in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
             os.utime(folder / newest, (times_s, times_s))
             os.utime(folder / "sets", (times_s + after_s, times_s + after_s))
-            assert lost_sets(folder, catalogue, newest_rows=n_positions) == told
+            assert lost_sets(folder, catalogue, newest_rows=n_positions) == expected
 
 
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
-def test_a_folder_of_an_earlier_version_is_looked_at_and_copied_as_it_is(tmp_path, commit):
+def test_a_folder_of_an_earlier_version_is_verified_and_copied_unchanged(tmp_path, commit):
     folder = tmp_path / "data"
     with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
         archive.extractall(folder, filter="data")
@@ -654,12 +658,12 @@ def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder
         assert client.get("/api/v1/info").json()["schedule"]["shots_per_set"] == 3
 
 
-def test_a_person_reads_what_was_checked_and_each_damage_on_a_line(folder):
+def test_the_text_output_lists_checks_and_one_corruption_per_line(folder):
     (folder / FILES[1]).unlink()
-    said = solimon_here("verify", "--data-dir", str(folder), env={})
-    lines = said.stdout.splitlines()
+    completed = solimon_here("verify", "--data-dir", str(folder), env={})
+    lines = completed.stdout.splitlines()
     assert lines[0].startswith(f"set_missing        {FILES[1]}: rows point at it")
     assert lines[-1] == "damage    1, named above"
     assert any(line.startswith("checked   ") and line.endswith(" MB") for line in lines)
-    said = solimon_here("repair", "--data-dir", str(folder), env={})
-    assert said.stdout.startswith(f"nothing       {FILES[1]}: ")
+    completed = solimon_here("repair", "--data-dir", str(folder), env={})
+    assert completed.stdout.startswith(f"nothing       {FILES[1]}: ")

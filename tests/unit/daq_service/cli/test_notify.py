@@ -1,4 +1,4 @@
-"""`notify test` and what `check-config` and a start say of receivers."""
+"""`notify test`, and the messages of `check-config` and a start about receivers."""
 
 import json
 
@@ -30,29 +30,29 @@ def config(tmp_path, receiver):
     return path
 
 
-def test_a_trial_is_sent_and_its_result_told(config, receiver, capsys):
+def test_a_test_message_is_sent_and_its_result_reported(config, receiver, capsys):
     assert run_test(config=config, receiver=None, as_json=False) == EXIT_OK
     assert capsys.readouterr().out == f"{'duty':<24} ok      taken (204)\n"
     assert receiver.next().message["kind"] == "test"
     receiver.answers.put((503, {}))
     assert run_test(config=config, receiver="duty", as_json=True) == EXIT_NOT_MET
-    told = json.loads(capsys.readouterr().out)["receivers"]["duty"]
-    assert told == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
+    result = json.loads(capsys.readouterr().out)["receivers"]["duty"]
+    assert result == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
 
 
-def test_a_receiver_that_there_is_not_is_refused(config):
+def test_an_unknown_receiver_is_rejected(config):
     with pytest.raises(UsageError, match="no receiver 'night' is configured; there are: duty"):
         run_test(config=config, receiver="night", as_json=False)
     with pytest.raises(UsageError, match="no receivers are configured; there are: none"):
         run_test(config=None, receiver=None, as_json=False)
 
 
-def test_a_configuration_is_checked_without_telling_secrets(config, receiver, tmp_path, capsys):
+def test_a_configuration_check_exposes_no_secrets(config, receiver, tmp_path, capsys):
     print_configuration(config=config, data_dir=tmp_path, schema=False, as_json=False)
-    told = capsys.readouterr()
-    assert f"receiver   duty: webhook, {receiver.url.removesuffix('/hook')}\n" in told.out
-    assert "T0K3N" not in told.out
-    assert SECRET not in told.out
+    printed = capsys.readouterr()
+    assert f"receiver   duty: webhook, {receiver.url.removesuffix('/hook')}\n" in printed.out
+    assert "T0K3N" not in printed.out
+    assert SECRET not in printed.out
     (tmp_path / "duty.secret").unlink()
     print_configuration(config=config, data_dir=tmp_path, schema=False, as_json=False)
     assert "duty.secret cannot be read" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`solimon serve PATH...`: which paths mean one test, which several, and whose doors they have."""
+"""`solimon serve PATH...`: paths of one test, of several tests, and their authentication."""
 
 import socket
 from pathlib import Path
@@ -15,7 +15,7 @@ from daq_service.web.context import context_of
 
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """What would be served: applications and their settings; nobody listens."""
+    """Return the list of applications and settings that would be served; no port is opened."""
     found = []
 
     def serve_app(app, web, port):
@@ -33,14 +33,14 @@ def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     return found
 
 
-def run(*words: object) -> None:
-    result = CliRunner().invoke(cli, ["serve", *map(str, words)])
+def run(*arguments: object) -> None:
+    result = CliRunner().invoke(cli, ["serve", *map(str, arguments)])
     if isinstance(result.exception, UsageError):
         raise result.exception
     assert result.exit_code == 0, result.output
 
 
-def test_one_path_is_the_test_alone_as_a_configuration_or_its_folder(served, tmp_path):
+def test_one_path_serves_one_test_from_a_configuration_or_a_folder(served, tmp_path):
     (tmp_path / "folder").mkdir()
     run("test.toml", "--port", 0)
     run("folder")

@@ -1,4 +1,4 @@
-"""`solimon service`: what the system's own programs and our command line say of what it writes."""
+"""`solimon service`: its files are checked with the system's own programs and the command line."""
 
 import configparser
 import json
@@ -34,7 +34,7 @@ WITH_SUPPLY = 'name = "50 % \\"wall\\""\n[rig]\nstall_timeout_s = 180.0\n' + SUP
 TASKS = "{http://schemas.microsoft.com/windows/2004/02/mit/task}"
 
 
-def written(config: Path, manager: str, *options: str) -> dict[str, Any]:
+def write_service(config: Path, manager: str, *options: str) -> dict[str, Any]:
     arguments = [
         "service",
         manager,
@@ -51,7 +51,7 @@ def written(config: Path, manager: str, *options: str) -> dict[str, Any]:
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    """A configuration with a supply, where no path is plain."""
+    """Return a configuration with a supply and special characters in each path."""
     folder = tmp_path / "my $HOME, 5 % 'and' \"more\""
     folder.mkdir()
     file = folder / "lab.toml"
@@ -67,12 +67,12 @@ def unit(path: str) -> configparser.ConfigParser:
 
 
 def units(config: Path) -> dict[str, configparser.ConfigParser]:
-    files = written(config, "systemd", "--user", "ada")["files"]
+    files = write_service(config, "systemd", "--user", "ada")["files"]
     return {Path(file).stem.removeprefix("solimon-"): unit(file) for file in files}
 
 
 def verify(*files: str) -> str:
-    """Ask systemd itself; empty where it has nothing to say."""
+    """Check a unit with systemd; return its messages."""
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here: it comes with the package systemd")
     command = ["systemd-analyze", "verify", "--man=no", *files]
@@ -81,12 +81,12 @@ def verify(*files: str) -> str:
 
 
 def test_systemd_verifies_the_units(config: Path) -> None:
-    assert verify(*written(config, "systemd", "--user", "root")["files"]) == ""
+    assert verify(*write_service(config, "systemd", "--user", "root")["files"]) == ""
 
 
-def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> None:
-    """The check above can fail."""
-    recorder = written(config, "systemd", "--user", "root")["files"][0]
+def test_a_unit_that_systemd_rejects_is_detected(config: Path) -> None:
+    """This shows that the check above can fail."""
+    recorder = write_service(config, "systemd", "--user", "root")["files"][0]
     text = Path(recorder).read_text(encoding="utf-8")
     Path(recorder).write_text(text.replace("WatchdogSec=", "WatchdogSeconds="), encoding="utf-8")
     assert "WatchdogSeconds" in verify(recorder)
@@ -102,7 +102,7 @@ def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) 
     assert int(recorder["TimeoutStopSec"]) > deadline_s
 
 
-def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
+def test_a_process_is_restarted_according_to_its_exit_code(config: Path) -> None:
     for parsed in units(config).values():
         service = parsed["Service"]
         assert service["Restart"] == "always"
@@ -113,53 +113,59 @@ def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
 
 
 def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
-    """Else it would end with the recorder, which it is there to outlive."""
-    made = units(config)
-    assert made["record"]["Unit"]["Wants"] == made["record"]["Unit"]["After"] == "solimon-drive.service"
-    assert made["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
-    assert made["drive"]["Service"]["Type"] == "notify"
+    """Otherwise it would end with the recorder, which it must outlive."""
+    written_units = units(config)
+    assert (
+        written_units["record"]["Unit"]["Wants"]
+        == written_units["record"]["Unit"]["After"]
+        == "solimon-drive.service"
+    )
+    assert written_units["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
+    assert written_units["drive"]["Service"]["Type"] == "notify"
     config.write_text("", encoding="utf-8")
     assert list(units(config)) == ["record", "serve"]
 
 
-def test_devices_are_left_to_those_who_use_them(config: Path) -> None:
-    made = units(config)
-    assert made["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
-    assert made["serve"]["Service"]["Type"] == "notify"
-    assert [word for word, parsed in made.items() if "PrivateDevices" in parsed["Service"]] == ["serve"]
-    assert {parsed["Service"]["NoNewPrivileges"] for parsed in made.values()} == {"yes"}
+def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None:
+    written_units = units(config)
+    assert written_units["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
+    assert written_units["serve"]["Service"]["Type"] == "notify"
+    assert [word for word, parsed in written_units.items() if "PrivateDevices" in parsed["Service"]] == [
+        "serve"
+    ]
+    assert {parsed["Service"]["NoNewPrivileges"] for parsed in written_units.values()} == {"yes"}
 
 
 @pytest.mark.parametrize("manager", ["systemd", "windows"])
-def test_the_command_lines_are_ours(manager: str, config: Path) -> None:
-    files = written(config, manager)["files"]
+def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> None:
+    files = write_service(config, manager)["files"]
     if manager == "systemd":
         lines = [unit(file)["Service"]["ExecStart"].replace("%%", "%").replace("$$", "$") for file in files]
         commands = [shlex.split(line) for line in lines]
     else:
         actions = [ElementTree.parse(file).find(f".//{TASKS}Exec") for file in files]
         assert all(action is not None for action in actions)
-        # What Windows' rules quote with backslashes, a shell's do alike.
+        # Backslash quotes of Windows are valid in a shell, too.
         commands = [
             [action.findtext(f"{TASKS}Command"), *shlex.split(action.findtext(f"{TASKS}Arguments"))]
             for action in actions
         ]
-    words = []
+    recorded_commands = []
     for program, safe, dash_m, module, word, *arguments in commands:
         assert (program, dash_m, module) == (sys.executable, "-m", "daq_service.cli")
         assert safe == "-P", "no file beside the configuration is taken for a module"
         options = cli.commands[word].make_context(word, arguments).params
         (named,) = options["paths"] if word == "serve" else [options["config"]]
         assert (named, options["data_dir"]) == (config, config.parent / "solimon-data")
-        words.append(word)
-    assert words == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
+        recorded_commands.append(word)
+    assert recorded_commands == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
 
 
 def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
-    told = written(config, "windows", "--user", "LAB\\ada", "--name", "wall")
-    assert [Path(file).name for file in told["files"]] == ["wall.xml", "wall-drive.xml"]
-    assert told["install"][0] == f'schtasks /create /f /tn "wall" /xml "{told["files"][0]}"'
-    task = ElementTree.fromstring(Path(told["files"][0]).read_bytes())
+    answer = write_service(config, "windows", "--user", "LAB\\ada", "--name", "wall")
+    assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-drive.xml"]
+    assert answer["install"][0] == f'schtasks /create /f /tn "wall" /xml "{answer["files"][0]}"'
+    task = ElementTree.fromstring(Path(answer["files"][0]).read_bytes())
     found = {element.tag.removeprefix(TASKS): element.text for element in task.iter()}
     assert found["Description"] == 'solimon run: 50 % "wall"'
     assert task.find(f".//{TASKS}BootTrigger/{TASKS}Repetition/{TASKS}Interval") is not None
@@ -169,13 +175,13 @@ def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_t
 
 
 def test_one_command_installs_and_starts_the_units(config: Path) -> None:
-    told = written(config, "systemd")
-    (line,) = told["install"]
-    names = [Path(file).name for file in told["files"]]
+    answer = write_service(config, "systemd")
+    (line,) = answer["install"]
+    names = [Path(file).name for file in answer["files"]]
     copy = [
         "sudo",
         "cp",
-        *told["files"],
+        *answer["files"],
         "/etc/systemd/system/",
         "&&",
         "sudo",
@@ -187,10 +193,10 @@ def test_one_command_installs_and_starts_the_units(config: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
-def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
+def test_a_recorder_notifies_its_service_manager_from_start_to_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log of later tests, too
+    monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log later tests, too
     config = tmp_path / "test.toml"
     config.write_text(
         "[schedule]\nend_h = 0.5\nshots_per_set = 1\n[baseline]\nminimum_valid_shots = 1\n"
@@ -200,10 +206,10 @@ def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
     with notify_socket(tmp_path) as (environment, heard):
         done = solimon_here("record", str(config), env=environment)
     assert done.returncode == 0, done.stderr
-    opening, begun, *_, stopping = heard
+    opening, ready, *_, stopping = heard
     assert opening[0] == "WATCHDOG=1", "not ready yet"
     assert opening[-1] == "STATUS=opening the rig"
-    assert begun == ["READY=1"]
+    assert ready == ["READY=1"]
     assert stopping == ["STOPPING=1", "STATUS=stopping"]
 
 

@@ -1,4 +1,4 @@
-"""The parts of `solimon setup`: questions with two mouths, the page's guards, what answers for itself."""
+"""The parts of `solimon setup`: questions at terminal and page, guards of the page, detected instruments."""
 
 import io
 import os
@@ -32,13 +32,13 @@ LEAVE = Question(name="B.strike", text="Strike B", default="go on", choices=("st
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """A terminal at which nobody says anything until a test does; hung up at the end."""
+    """Return a terminal without input until a test writes some; it is closed at the end."""
     reading, writing = os.pipe()
     with os.fdopen(reading, encoding="utf-8") as ours, os.fdopen(writing, "w", encoding="utf-8") as theirs:
         monkeypatch.setattr("sys.stdin", ours)
         yield theirs
         theirs.close()
-        until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "the terminal's end")
+        until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "the terminal's end")
 
 
 def bench(**values):
@@ -48,8 +48,8 @@ def bench(**values):
     )
 
 
-def asked_aside(dialogue, question, understood=str):
-    """The question waits in another thread; where its value will come."""
+def ask_in_thread(dialogue, question, understood=str):
+    """Ask in another thread; return the queue of the answer."""
     value = queue.Queue()
     before = dialogue.number
     threading.Thread(target=lambda: value.put(dialogue.ask(question, understood))).start()
@@ -60,13 +60,13 @@ def asked_aside(dialogue, question, understood=str):
 # Questions -------------------------------------------------------------------------------------------
 
 
-def test_an_answer_is_asked_for_until_it_is_understood(monkeypatch, capsys):
+def test_a_question_is_repeated_until_the_answer_is_valid(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("high\n0.01\n"))
     assert Dialogue().ask(HEIGHT, float) == 0.01
     assert "could not convert string to float: 'high'" in capsys.readouterr().err
 
 
-def test_no_answer_is_the_default_and_the_default_strikes_nothing(monkeypatch):
+def test_an_empty_answer_is_the_default_which_strikes_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\nyes\nst\nstrike\n"))
     dialogue = Dialogue()
     assert dialogue.ask(LEAVE, str) == "go on"
@@ -77,7 +77,7 @@ def test_no_answer_is_the_default_and_the_default_strikes_nothing(monkeypatch):
     ]
 
 
-def test_the_end_of_a_terminal_is_told_with_the_question(monkeypatch):
+def test_the_end_of_the_input_is_reported_with_the_open_question(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(UsageError, match=r"B\.strike: Strike B.*solimon setup --help"):
         Dialogue().ask(LEAVE, str)
@@ -86,28 +86,28 @@ def test_the_end_of_a_terminal_is_told_with_the_question(monkeypatch):
 def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
     dialogue = Dialogue()
     assert not dialogue.answer(0, "strike"), "nothing is asked"
-    value = asked_aside(dialogue, HEIGHT, float)
+    value = ask_in_thread(dialogue, HEIGHT, float)
     shown = dialogue.as_row()["question"]
     assert (shown["name"], shown["default"], shown["choices"]) == ("height", "0.005", [])
     assert dialogue.answer(shown["number"], "0.004")
     assert value.get() == 0.004
     assert dialogue.as_row()["question"] is None
-    value = asked_aside(dialogue, LEAVE)
+    value = ask_in_thread(dialogue, LEAVE)
     assert not dialogue.answer(shown["number"], "strike"), "that was an answer to the height"
     assert dialogue.answer(dialogue.number, "go on")
     assert value.get() == "go on"
 
 
-def test_a_second_answer_to_one_question_is_none_to_the_next(terminal):
-    """Page and terminal answer at once: what comes second must not strike."""
+def test_a_second_answer_to_one_question_does_not_answer_the_next(terminal):
+    """Page and terminal answer at the same time: the later answer must not cause a strike."""
     dialogue = Dialogue()
-    value = asked_aside(dialogue, HEIGHT, float)
+    value = ask_in_thread(dialogue, HEIGHT, float)
     number = dialogue.number
     with dialogue._lock:  # it cannot end before both are under way
         dialogue._answers.put(_Answer("0.004", number))
         dialogue._answers.put(_Answer("strike", number))
     assert value.get() == 0.004
-    value = asked_aside(dialogue, LEAVE)
+    value = ask_in_thread(dialogue, LEAVE)
     terminal.write("go on\n")
     terminal.flush()
     assert value.get() == "go on"
@@ -118,12 +118,12 @@ class Typed(io.StringIO):
         return True
 
 
-def test_what_was_typed_ahead_strikes_nothing(monkeypatch):
+def test_input_typed_ahead_strikes_nothing(monkeypatch):
     typed = Typed("0.004\nstrike\n")
     monkeypatch.setattr("sys.stdin", typed)
     dialogue = Dialogue()
     assert dialogue.ask(HEIGHT, float) == 0.004
-    until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "both lines were typed")
+    until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "both lines were typed")
     with pytest.raises(UsageError, match="nobody answers any more"):
         dialogue.ask(LEAVE, str)
 
@@ -140,7 +140,7 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
         assert "script-src 'self'" in page.headers["Content-Security-Policy"]
         assert api.get("/static/setup.js").status_code == 200
         assert api.get("/static/../server.py").status_code == 404
-        value = asked_aside(dialogue, LEAVE)
+        value = ask_in_thread(dialogue, LEAVE)
         body = {"number": dialogue.number, "text": "strike"}
         foreign = {"Origin": "http://elsewhere.example"}
         assert api.post("/api/answer", json=body, headers=foreign).status_code == 403
@@ -154,7 +154,7 @@ def test_the_page_is_guarded_as_the_dashboard(terminal):
         assert api.get("/api/strike").json() == {"strike": None, "shot": None}
 
 
-def test_a_page_that_is_open_hears_that_all_is_done():
+def test_an_open_page_is_notified_of_the_end():
     with served_page(Dialogue(), bench(), 0) as address:
         assert not httpx.get(f"{address}api/state").json()["done"]
         heard = queue.Queue()
@@ -169,7 +169,7 @@ def test_a_page_that_is_open_hears_that_all_is_done():
     assert heard.get()
 
 
-def test_what_the_boards_refuse_is_told_on_the_page():
+def test_an_error_of_the_boards_is_shown_on_the_page():
     def refused():
         raise InstrumentError("LabVIEW holds the board; end it")
 
@@ -193,7 +193,7 @@ def test_an_envelope_keeps_every_crest():
     assert drawn["column_s"] * COLUMNS == pytest.approx(1.36e-3)
 
 
-# What is there ---------------------------------------------------------------------------------------
+# Detected instruments --------------------------------------------------------------------------------
 
 
 def test_a_counter_s_home_is_its_family_s():
@@ -206,8 +206,8 @@ def test_a_counter_s_home_is_its_family_s():
     x_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/PFI13"), **facts)
     s_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/Ctr0Out", "/Dev1/Ctr1Out"), **facts)
     assert coil_counters(x_series) == ["ctr0", "ctr1"]
-    assert [home_terminal(x_series, one) for one in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
-    assert [home_terminal(s_series, one) for one in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
+    assert [home_terminal(x_series, item) for item in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
+    assert [home_terminal(s_series, item) for item in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
 
 
 def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch, tmp_path):
@@ -239,7 +239,7 @@ def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch,
 
 
 @pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are")
-def test_instruments_on_serial_lines_tell_their_names_and_nothing_is_switched(tmp_path):
+def test_serial_instruments_are_identified_and_nothing_is_switched(tmp_path):
     with SerialInstruments(tmp_path) as there:
         ports = [str(link.path) for link in (there.supply_link, there.climate_link)]
         tables, off = ask_for_others(Dialogue(), {}, *ports, asks=False)

@@ -1,4 +1,4 @@
-"""`solimon setup --kind`: instruments of any installed kind, from nothing to a file that is good."""
+"""`solimon setup --kind`: instruments of any installed kind, up to a valid file."""
 
 import json
 import re
@@ -44,7 +44,7 @@ def instruments(file):
     return {item.name: item.parameters for item in configured(load_settings(file))}
 
 
-def test_a_person_is_led_to_a_file_that_no_hand_edited(file, script):
+def test_the_dialogue_writes_a_complete_file(file, script):
     answers = "B\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
     ended = set_up(file, *SCOPE_AND_HAMMER, answers=answers)
     assert ended.exit_code == 0, ended.output
@@ -58,7 +58,7 @@ def test_a_person_is_led_to_a_file_that_no_hand_edited(file, script):
     assert 'address = "usb"' in file.read_text(encoding="utf-8"), "the defaults are there to be seen"
 
 
-def test_a_level_that_does_not_fit_is_proposed_anew(file):
+def test_an_unsuitable_trigger_level_is_proposed_again(file):
     answers = "B\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
     ended = set_up(file, "--kind", "scripted-levelled", "--kind", "scripted-hammer", answers=answers)
     assert ended.exit_code == 0, ended.output
@@ -66,7 +66,7 @@ def test_a_level_that_does_not_fit_is_proposed_anew(file):
     assert instruments(file)["scripted-levelled"].trigger_level_v == 0.5
 
 
-def test_flags_answer_everything_and_strike_only_when_they_say_so(file, script):
+def test_options_answer_every_question_and_strike_only_with_strike(file, script):
     given = (*SCOPE_AND_HAMMER, *AT_B, "--set", "scripted-scope.range_v=2.5", "--json")
     ended = set_up(file, *given)
     assert ended.exit_code == 0, ended.output
@@ -93,7 +93,7 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     assert not file.exists()
 
 
-def test_nothing_strikes_while_a_recorder_owns_the_folder(file, script, tmp_path):
+def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_path):
     folder = tmp_path / "data"
     bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, folder)
     bench.served["B"] = {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
@@ -116,7 +116,7 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         (("--kind", "oscilloscope"), "no installed package offers the kind 'oscilloscope'"),
         (("--kind", "scripted-supply"), "scripted-supply neither digitizes nor strikes here"),
@@ -128,8 +128,8 @@ def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
         (("--set", "scripted-scope.range_v=1", *AT_B), "--set is for --kind"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_opened(file, script, given, told):
-    with pytest.raises(UsageError, match=re.escape(told)):
+def test_an_impossible_setup_is_rejected_before_any_instrument_is_opened(file, script, given, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
         set_up(file, *given)
     assert script.events == []
     assert not file.exists()

@@ -1,4 +1,4 @@
-"""How a test stands, as a person reads it."""
+"""Text of `solimon status`."""
 
 import re
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ SETS = N_BASELINE + 2
 
 @pytest.fixture
 def filled(tmp_path: Path) -> Iterator[FilledFolder]:
-    """A test that is being recorded, one set behind its baseline."""
+    """Return a running test that has one set after its baseline."""
     folder = FilledFolder(tmp_path, Settings())
     for index in (0, N_BASELINE - 1, N_BASELINE, SETS - 1):
         folder.add_set(index, stored=False)
@@ -35,8 +35,10 @@ def filled(tmp_path: Path) -> Iterator[FilledFolder]:
     folder.close()
 
 
-def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed") -> None:
-    """Rows of a set that was not taken, or not as a whole."""
+def store_missed_set(
+    filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed"
+) -> None:
+    """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
     commit = SetCommit()
     for name in positions or filled.settings.positions:
@@ -55,7 +57,7 @@ def missed(filled: FilledFolder, index: int, cause: str, *positions: str, state:
     filled.catalogue.commit_set(commit)
 
 
-def told(facts: dict[str, Any]) -> list[str]:
+def status_lines(facts: dict[str, Any]) -> list[str]:
     console = console_on("stdout")
     console.width = PIPE_COLUMNS
     with console.capture() as captured:
@@ -64,7 +66,7 @@ def told(facts: dict[str, Any]) -> list[str]:
 
 
 def status_of(filled: FilledFolder) -> list[str]:
-    return told(describe_status(filled.folder, filled.settings))
+    return status_lines(describe_status(filled.folder, filled.settings))
 
 
 def line_of(lines: list[str], word: str) -> str:
@@ -72,9 +74,9 @@ def line_of(lines: list[str], word: str) -> str:
     return re.sub(r"  +", "  ", found)
 
 
-def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: FilledFolder) -> None:
+def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
-    lines = told(facts)
+    lines = status_lines(facts)
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
@@ -92,16 +94,16 @@ def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: Fil
     )
     facts_by_sets = describe_status(filled.folder, by_sets)
     assert facts_by_sets["positions"]["B"]["chart"] is None
-    lines_by_sets = told(facts_by_sets)
+    lines_by_sets = status_lines(facts_by_sets)
     assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
     assert not any(line.startswith("decides") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
 
 
-def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: FilledFolder) -> None:
+def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
-    assert not any(line.startswith("verdict") for line in told(facts))
+    assert not any(line.startswith("verdict") for line in status_lines(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
     for name, cause, probability in (("B", "wall", 0.97), ("C", "cannot tell", 0.98), ("D", "ok", 0.9)):
         facts["positions"][name]["last_verdict"] |= {
@@ -109,14 +111,14 @@ def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: Filled
             "cause_probability": probability,
             "cause_told": experiment_text,
         }
-    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("verdict")]
+    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("verdict")]
     assert lines == [
         f"verdict  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
         f"verdict  C, set {SETS - 1}: CANNOT TELL: the wave has changed; inspect",
     ]
 
 
-def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
+def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: FilledFolder) -> None:
     filled.add_set(SETS, stored=False, judged=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
@@ -136,7 +138,7 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
     )
 
 
-def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
+def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
     filled.add_alarm("B", N_BASELINE, message="3 of the last 5 sets")
     filled.add_alarm("C", SETS - 1, kind="hole", severity="critical", state="acknowledged", message="a hole")
     lines = status_of(filled)
@@ -156,8 +158,8 @@ def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
 
 def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:
     for index in range(SETS, SETS + 3):
-        missed(filled, index, "held by ann")
-    missed(filled, SETS + 3, "no trigger", "D")
+        store_missed_set(filled, index, "held by ann")
+    store_missed_set(filled, SETS + 3, "no trigger", "D")
     hour = f"hour {filled.due[SETS + 2].due_h:g}"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert lines == [
@@ -165,17 +167,17 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
         f"gap  set {SETS + 3} missed at D, hour {filled.due[SETS + 3].due_h:g}: no trigger",
     ]
     for index in range(SETS + 4, SETS + 14):
-        missed(filled, index, f"cause {index}", "D")
+        store_missed_set(filled, index, f"cause {index}", "D")
     facts = describe_status(filled.folder, filled.settings)
     assert [gap["set_index"] for gap in facts["gaps"]] == list(range(SETS + 14 - GAPS_A_POSITION, SETS + 14))
 
 
-def test_what_is_awaited_is_told(filled: FilledFolder) -> None:
+def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> None:
     order = filled.catalogue.add_command("ann", "retire", {"position": "C", "note": ""}, within_s=3600.0)
     expired = filled.catalogue.add_command("bob", "hold", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
     assert [row["id"] for row in facts["orders"]] == [order], f"order {expired} has expired"
-    awaited = [line for line in told(facts) if line.startswith("awaited")]
+    awaited = [line for line in status_lines(facts) if line.startswith("awaited")]
     assert re.fullmatch(
         r"awaited +the recorder's answer to retire by ann \(pending, expires in 60 min\)", awaited[0]
     )
@@ -184,19 +186,19 @@ def test_what_is_awaited_is_told(filled: FilledFolder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("level", "words"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
+    ("level", "message"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
 )
-def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, words: str) -> None:
+def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, message: str) -> None:
     facts = describe_status(filled.folder, filled.settings)
     disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
     assert level in LEVELS
-    line = line_of(told({**facts, "disk": disk}), "disk")
+    line = line_of(status_lines({**facts, "disk": disk}), "disk")
     assert line.startswith("disk  5.00 GB free")
-    assert words in line
+    assert message in line
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
 
 
-def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFolder) -> None:
+def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)["confirmations"]
     assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
     index = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
@@ -209,14 +211,14 @@ def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFo
         experiment_text["last"]["confirms"],
     ) == (1, "C", True)
     assert (experiment_text["last"]["set_index"], experiment_text["last"]["age_h"]) == (index, 0.0)
-    assert line_of(told(facts), "confirm") == (
+    assert line_of(status_lines(facts), "confirm") == (
         "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
         "24.3, lies where the planned sets before it do."
     )
 
 
-def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
+def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None:
     promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
     short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}
     doubtful = promised | {
@@ -226,9 +228,9 @@ def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
         filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
     facts = describe_status(filled.folder, filled.settings)
     assert facts["positions"]["A"]["baseline"] is None
-    told_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
-    assert facts["positions"]["B"]["baseline"] == told_of_b | short | {"doubts": []}
-    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("baseline")]
+    baseline_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
+    assert facts["positions"]["B"]["baseline"] == baseline_of_b | short | {"doubts": []}
+    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("baseline")]
     assert lines == [
         "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
         "baseline  D: DOUBTFUL: set 6 lies alone, away from the others; a trend over the whole of it",
@@ -236,44 +238,46 @@ def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
     ]
 
 
-def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_path: Path) -> None:
+def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, judged=False)
-    why = "a baseline of 14 sets; it needs 15"
-    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": why}
+    reason = "a baseline of 14 sets; it needs 15"
+    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": reason}
     filled.catalogue.commit_set(
         SetCommit(
-            baselines=[frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=why)],
+            baselines=[
+                frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=reason)
+            ],
             assessments=[replace(filled.assessment("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
         )
     )
     lines = status_of(filled)
     assert line_of(lines, " D").startswith(" D  not judged  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
-    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {why}"
+    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {reason}"
     page = report_page(tmp_path).decode()
-    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {why}</td>", page)
+    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
 
 
-def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:
+def test_status_shows_a_missing_file_and_a_tripped_supply(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
-    lines = told({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
+    lines = status_lines({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
     assert line_of(lines, "LOST").startswith(
         "LOST  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
     )
     assert line_of(lines, "supply") == "supply  off; tripped: a hole"
 
 
-def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: Path) -> None:
+def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     folder = lay_out(tmp_path / "data")
     settings = Settings()
     facts = describe_status(folder, settings)
     low_m, high_m = facts["positions"]["A"]["thickness_interval_m"]
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     assert low_m < wall_m < high_m
-    row = line_of(told(facts), " A")
+    row = line_of(status_lines(facts), " A")
     assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
     with open_catalogue(folder) as catalogue:
         first, *_, last = catalogue.rows(ThicknessRow, position="A")
@@ -283,13 +287,13 @@ def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: P
     (folder / str(its_set.file)).unlink()
     facts = describe_status(folder, settings)
     assert facts["positions"]["A"]["thickness_interval_m"] is None
-    assert f" {1e3 * wall_m:.2f} mm  " in line_of(told(facts), " A")
+    assert f" {1e3 * wall_m:.2f} mm  " in line_of(status_lines(facts), " A")
     assert its_set.file in facts["lost"]
 
 
-def test_a_position_that_has_a_part_of_a_set_is_not_told_to_have_missed_it(filled: FilledFolder) -> None:
-    missed(filled, SETS, "a stop", "B", state="partial")
-    missed(filled, SETS, "a stop", "C", "D")
+def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFolder) -> None:
+    store_missed_set(filled, SETS, "a stop", "B", state="partial")
+    store_missed_set(filled, SETS, "a stop", "C", "D")
     at = f"hour {filled.due[SETS].due_h:g}: a stop"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert sorted(lines) == [f"gap  set {SETS} missed at C, D, {at}", f"gap  set {SETS} partial at B, {at}"]
@@ -309,18 +313,18 @@ def test_colour_is_for_terminals_without_no_color(
 
 
 def test_watching_needs_a_terminal(filled: FilledFolder) -> None:
-    for words in (["--watch"], ["--watch", "--json"]):
-        done = solimon_here("status", *words, "--data-dir", str(filled.folder), env={})
+    for options in (["--watch"], ["--watch", "--json"]):
+        done = solimon_here("status", *options, "--data-dir", str(filled.folder), env={})
         assert (done.returncode, done.stdout) == (2, "")
         assert "--watch draws on a terminal" in done.stderr
 
 
 def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
-    lines = told(describe_status(tmp_path, Settings()))
+    lines = status_lines(describe_status(tmp_path, Settings()))
     assert lines == ["data      here", "recorder  never started here", "          no data yet"]
 
 
-def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
+def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, judged=False)
     row = line_of(status_of(filled), " D")

@@ -1,4 +1,4 @@
-"""What a running test tells in a log, and when a page is opened."""
+"""Progress output of a running test, and the condition to open the page."""
 
 import io
 import logging
@@ -18,29 +18,29 @@ GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door o
 
 
 class Log:
-    """A log of a test in which time passes as a test says."""
+    """Progress report with a clock that the test moves."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.tell = ProgressReport(mono_s=lambda: self.now_s)
+        self.report = ProgressReport(mono_s=lambda: self.now_s)
 
     def after(self, seconds: float, event: str, **values: Any) -> None:
         self.now_s += seconds
-        self.tell(event, **values)
+        self.report(event, **values)
 
     def progress(self, seconds: float, done: int) -> None:
         self.after(seconds, "progress", done=done, planned=100, due_h=done / 2.0)
 
 
 def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    said = capsys.readouterr()
-    assert said.out == "", "standard output belongs to whoever asked for something"
-    return said.err.splitlines()
+    captured = capsys.readouterr()
+    assert captured.out == "", "standard output belongs to whoever asked for something"
+    return captured.err.splitlines()
 
 
-def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
-    with log.tell:
+    with log.report:
         for done, pause_s in enumerate((0.0, 1800.0, 1800.0, 1.0, 1.0, 60.0), start=1):
             log.progress(pause_s, done)
         log.progress(1.0, 100)
@@ -49,10 +49,10 @@ def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureF
     ]
 
 
-def test_what_a_person_shall_do_is_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_requested_action_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     asked = {"text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0}
-    with log.tell:
+    with log.report:
         log.after(0.0, "asked", **asked, within_s=400.0)
         log.after(8.0, "asked_over")
         log.after(0.0, "asked", text="close the door", within_s=30.0)
@@ -62,9 +62,9 @@ def test_what_a_person_shall_do_is_one_line_each(capsys: pytest.CaptureFixture[s
     ]
 
 
-def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.CaptureFixture[str]) -> None:
+def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
-    with log.tell:
+    with log.report:
         for change in ("alarm_raised", "alarm_worsened", "alarm_returned", "alarm_cleared", "alarm_reset"):
             log.after(0.0, "alarm", **{**ALARM, "change": change})
     stands = "hour 12.5, ALARM, high: hole at C: inspect"
@@ -75,11 +75,11 @@ def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.Cap
     ]
 
 
-def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
+def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     log = Log()
-    with log.tell:
+    with log.report:
         for index in (3, 4, 5):
             log.after(0.0, "gap", set_index=index, **GAP)
             log.progress(1.0, index + 1)
@@ -95,9 +95,9 @@ def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
     ]
 
 
-def test_what_took_long_once_is_told_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_preparation_is_printed_with_its_duration(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
-    with log.tell:
+    with log.report:
         log.after(0.0, "preparing", what="building the plates")
         log.after(1.0, "preparing", what="compiling the loops")
         log.after(40.0, "prepared", what="compiling the loops")
@@ -108,9 +108,9 @@ def test_what_took_long_once_is_told_with_its_time(capsys: pytest.CaptureFixture
     assert lines(capsys) == ["compiling the loops: took 40 s", "building the plates: took 41 s"]
 
 
-def test_the_line_that_is_rewritten_says_what_takes_long(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_progress_line_names_the_long_step(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
-    text = log.tell._text
+    text = log.report._text
     log.after(1.0, "beat", doing="opening the rig", process=1)
     assert text().plain == "opening the rig"
     log.after(0.0, "preparing", what="compiling the loops")
@@ -127,13 +127,13 @@ def test_the_line_that_is_rewritten_says_what_takes_long(capsys: pytest.CaptureF
     capsys.readouterr()
 
 
-def test_a_restart_is_told_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_restart_is_printed_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
-    with log.tell:
-        log.tell.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
-        log.tell.hear("web", {"event": "progress", "done": "of no recorder"})
-        log.tell.hear("recorder", {"event": "nobody knows this one"})
-        log.tell.hear("recorder", {"event": "alarm", **ALARM})
+    with log.report:
+        log.report.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
+        log.report.hear("web", {"event": "progress", "done": "of no recorder"})
+        log.report.hear("recorder", {"event": "nobody knows this one"})
+        log.report.hear("recorder", {"event": "alarm", **ALARM})
     assert lines(capsys) == [
         "web was killed by signal 9; started again in 0.2 s",
         "hour 12.5, ALARM, high: hole at C: inspect",
@@ -145,18 +145,18 @@ class GoneTerminal(io.StringIO):
         raise OSError(5, "Input/output error")
 
 
-def test_a_terminal_that_is_gone_ends_no_test(
+def test_a_closed_terminal_ends_no_test(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(sys, "stderr", GoneTerminal())
     log = Log()
-    with caplog.at_level(logging.DEBUG), log.tell:
+    with caplog.at_level(logging.DEBUG), log.report:
         log.progress(0.0, 1)
     assert "nobody reads 'hour 0.5, set 1 of 100'" in caplog.text
 
 
 class HeldTerminal(io.StringIO):
-    """Takes nothing before it is released, as after Ctrl-S."""
+    """Stream that blocks until it is released, as a terminal after Ctrl-S."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -167,13 +167,13 @@ class HeldTerminal(io.StringIO):
         return super().write(text)
 
 
-def test_a_terminal_that_is_held_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_blocked_terminal_delays_no_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     held = HeldTerminal()
     monkeypatch.setattr(sys, "stderr", held)
     log = Log()
-    with log.tell:
+    with log.report:
         log.progress(0.0, 1)
-        log.tell.hear("recorder", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
+        log.report.hear("recorder", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
         log.after(0.0, "alarm", **ALARM)
         assert held.getvalue() == ""
         held.released.set()
@@ -181,11 +181,11 @@ def test_a_terminal_that_is_held_keeps_nobody_waiting(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told"),
+    ("seconds", "text"),
     [(0.4, "0 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2.0 h"), (172_800.0, "2.0 d")],
 )
-def test_a_duration_has_its_unit(seconds: float, told: str) -> None:
-    assert duration(seconds) == told
+def test_a_duration_has_its_unit(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
 
 
 # A page on a screen ---------------------------------------------------------------------------------------
@@ -210,7 +210,9 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"SSH_TTY": "/dev/pts/1"}, "darwin", "SSH"),
     ],
 )
-def test_a_page_is_opened_where_somebody_sits(environment: dict[str, str], platform: str, why: str) -> None:
+def test_a_page_is_opened_for_an_interactive_user(
+    environment: dict[str, str], platform: str, why: str
+) -> None:
     assert why_no_screen(environment, platform) == why
 
 

@@ -1,4 +1,4 @@
-"""`solimon token`, and a service for others that is refused at its start until it has its locks."""
+"""`solimon token`, and a service for other users that does not start without tokens and TLS."""
 
 import json
 import sys
@@ -16,16 +16,16 @@ TEXT_LENGTH = 43  # 256 bits as base64
 
 @pytest.fixture
 def token(tmp_path):
-    """Run `solimon token` over a folder: exit code, standard output, standard error."""
+    """Run `solimon token` on a folder; return exit code, standard output and standard error."""
 
-    def run(*words):
-        done = solimon_here("token", *words, "--data-dir", str(tmp_path), env={})
+    def run(*arguments):
+        done = solimon_here("token", *arguments, "--data-dir", str(tmp_path), env={})
         return done.returncode, done.stdout, done.stderr
 
     return run
 
 
-def test_a_token_is_made_told_once_listed_and_revoked(token, tmp_path):
+def test_a_token_is_created_printed_once_listed_and_revoked(token, tmp_path):
     code, out, err = token("create", "ann", "--role", "operator", "--days", "2")
     text = out.strip()
     assert (code, len(text)) == (0, TEXT_LENGTH)
@@ -36,10 +36,10 @@ def test_a_token_is_made_told_once_listed_and_revoked(token, tmp_path):
     assert text not in listed
     assert token("revoke", "ann")[:2] == (0, "the token of ann opens nothing any more\n")
     assert token("list")[1].split()[2] == "revoked"
-    told = [
+    entries = [
         (deed.what, deed.source, deed.result, deed.arguments) for _, deed in read_audit(tmp_path, limit=9)[0]
     ]
-    assert told == [
+    assert entries == [
         ("revoke_token", "terminal", "done", {"name": "ann"}),
         ("create_token", "terminal", "done", {"name": "ann", "role": "operator", "days": 2.0}),
     ]
@@ -47,11 +47,11 @@ def test_a_token_is_made_told_once_listed_and_revoked(token, tmp_path):
 
 def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
     assert json.loads(token("list", "--json")[1]) == {"file": str(tmp_path / "tokens.json"), "tokens": []}
-    made = json.loads(token("create", "ann", "--role", "admin", "--json")[1])
-    text = made.pop("token")
+    created = json.loads(token("create", "ann", "--role", "admin", "--json")[1])
+    text = created.pop("token")
     assert len(text) == TEXT_LENGTH
     (listed,) = json.loads(token("list", "--json")[1])["tokens"]
-    assert listed == made
+    assert listed == created
     assert (listed["name"], listed["role"], listed["state"], listed["expires_utc"]) == (
         "ann",
         "admin",
@@ -63,7 +63,7 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("arguments", "message"),
     [
         (
             ("create", "ann", "--role", "admin"),
@@ -78,24 +78,24 @@ def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
         (("revoke", "ben"), "there is no token 'ben' to revoke; there are: ann"),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, told):
+def test_an_impossible_command_is_rejected_and_changes_nothing(token, tmp_path, arguments, message):
     create_token(tmp_path / "tokens.json", "ann", "viewer")
     before = (tmp_path / "tokens.json").read_bytes()
-    code, out, err = token(*words)
+    code, out, err = token(*arguments)
     assert (code, out) == (2, "")
-    assert told in err
+    assert message in err
     assert (tmp_path / "tokens.json").read_bytes() == before
 
 
-@pytest.mark.parametrize("words", [("create", "ann", "--role", "admin"), ("list",), ("revoke", "ann")])
+@pytest.mark.parametrize("arguments", [("create", "ann", "--role", "admin"), ("list",), ("revoke", "ann")])
 @pytest.mark.parametrize("damage", ["unreadable", "foreign"])
-def test_a_file_that_cannot_be_read_is_told_and_left_as_it_is(token, tmp_path, words, damage):
+def test_an_unreadable_token_file_is_reported_and_left_unchanged(token, tmp_path, arguments, damage):
     path = tmp_path / "tokens.json"
     if damage == "unreadable":
         path.mkdir()
     else:
         path.write_text('{"tokens": 1}', encoding="utf-8")
-    code, out, err = token(*words)
+    code, out, err = token(*arguments)
     assert (code, out) == (4, "")
     assert ("cannot be read" if damage == "unreadable" else "is no file of access tokens") in err
     assert path.is_dir() if damage == "unreadable" else path.read_text(encoding="utf-8") == '{"tokens": 1}'
@@ -110,12 +110,12 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-# Started for others
+# Services for other hosts
 
 
 @pytest.mark.parametrize("command", ["serve", "run"])
 @pytest.mark.parametrize(
-    ("web", "tokens", "told"),
+    ("web", "tokens", "expected"),
     [
         (
             'host = "0.0.0.0"',
@@ -128,8 +128,8 @@ def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
         ("{tls_swapped}", "valid", ["cannot be used", "give readable PEM files"]),
     ],
 )
-def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
-    tmp_path, monkeypatch, command, web, tokens, told
+def test_a_service_for_other_hosts_needs_tokens_and_encryption(
+    tmp_path, monkeypatch, command, web, tokens, expected
 ):
     def started(*arguments, **options):
         raise AssertionError("it was started without its locks")
@@ -150,6 +150,6 @@ def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
     config.write_text(f"[web]\n{web}\n", encoding="utf-8")
     done = solimon_here(command, str(config), "--data-dir", str(folder), env={})
     assert (done.returncode, done.stdout) == (2, "")
-    for words in told:
-        assert words in done.stderr
+    for phrase in expected:
+        assert phrase in done.stderr
     assert all(token.name == "ann" for token in read_tokens(folder / "tokens.json"))

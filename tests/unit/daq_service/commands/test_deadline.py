@@ -1,4 +1,4 @@
-"""Until when an order stands: by the boot's time, which no step of UTC moves."""
+"""Deadline of a command in boot time, which is independent of UTC steps."""
 
 from dataclasses import replace
 
@@ -25,13 +25,13 @@ ORDER = CommandRow(
     [
         ("this", 1000, 0, 60.0),
         ("this", 1061, 1, 0.0),  # UTC was set back meanwhile: it stays expired
-        ("this", 1010, 3600, 50.0),  # UTC was set on: it stands all the same
+        ("this", 1010, 3600, 50.0),  # UTC was set forward, which does not affect the deadline
         ("another", 5, 10, 0.0),  # this computer was started again
         (None, 0, 20, 40.0),  # a system that names no boot
         (None, 0, 60, 0.0),
     ],
 )
-def test_it_stands_until_its_deadline_in_this_boot(
+def test_a_command_is_pending_until_its_deadline_in_this_boot(
     boot: str | None, boot_s: int, utc_s: int, left: float
 ) -> None:
     found = left_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
@@ -39,10 +39,10 @@ def test_it_stands_until_its_deadline_in_this_boot(
     assert as_it_stands(ORDER, found).state == ("pending" if left else "expired")
 
 
-def test_what_was_begun_does_not_expire() -> None:
-    begun = replace(ORDER, state="started")
-    assert as_it_stands(begun, 0.0) is begun
+def test_a_started_command_does_not_expire() -> None:
+    started = replace(ORDER, state="started")
+    assert as_it_stands(started, 0.0) is started
 
 
-def test_an_order_of_an_older_version_has_no_time_left() -> None:
+def test_a_command_of_an_older_version_has_expired() -> None:
     assert left_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0

@@ -1,4 +1,4 @@
-"""The recorder's side of orders: done or refused one at a time, whatever happened before."""
+"""Execution of commands by the recorder: done or rejected, one at a time."""
 
 import threading
 from collections.abc import Iterator
@@ -31,8 +31,8 @@ HOUR = 3.5
 NS_PER_MS = 1_000_000
 
 
-class Switch:
-    """A corrosion drive that notes its orders and refuses more than 10 V."""
+class SupplyDouble:
+    """Corrosion supply double that records its commands and rejects more than 10 V."""
 
     def __init__(self) -> None:
         self.done: list[tuple[Any, ...]] = []
@@ -51,23 +51,23 @@ class Switch:
 
 
 class Bench:
-    """A running test without its line: ledger, catalogue, listener; time passes by hand."""
+    """Running test without its line: set assessor, catalogue and listener on a manual clock."""
 
-    def __init__(self, folder: Path, clock: Clock, switch: Switch | None) -> None:
+    def __init__(self, folder: Path, clock: Clock, switch: SupplyDouble | None) -> None:
         self.folder, self.clock, self.switch = folder, clock, switch
         self.catalogue = new_catalogue(folder)
         self.stop, self.now_ns, self.left_s = threading.Event(), 0, 60.0
         self.next_set = 10
         self.restart()
 
-    def confirmation(self, position: str, author: str, because: str) -> Transaction:
-        """What the recorder would store, if the ledger allows it."""
+    def confirmation(self, position: str, author: str, reason: str) -> Transaction:
+        """Return what the recorder would store if the set assessor allows it."""
         after = DueSet(set_index=0, due_h=0.5, due_utc_ns=round(0.5 * NS_PER_H))
         moment = Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None)
-        return self.ledger.order_confirmation(after, position, author, because, moment)
+        return self.ledger.order_confirmation(after, position, author, reason, moment)
 
     def restart(self, *, begin: bool = True) -> None:
-        """What a new recorder process finds."""
+        """Open the folder as a new recorder process does."""
         rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
         self.ledger = SetAssessor(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
         test = RunningTest(
@@ -104,7 +104,7 @@ class Bench:
         assert row is not None
         return row.state, row.result
 
-    def obey(self, kind: str, **arguments: object) -> tuple[str, str]:
+    def execute(self, kind: str, **arguments: object) -> tuple[str, str]:
         order_id = self.write(kind, **arguments)
         self.now_ns += 200 * NS_PER_MS
         self.listener.listen()
@@ -117,29 +117,29 @@ class Bench:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(tmp_path, SimulatedClock(0, pace_h_per_s=1.0), Switch())
+    bench = Bench(tmp_path, SimulatedClock(0, pace_h_per_s=1.0), SupplyDouble())
     yield bench
     bench.catalogue.close()
 
 
 @pytest.fixture
 def bare(tmp_path: Path) -> Iterator[Bench]:
-    """On the wall clock, without a supply."""
+    """Return a bench on the wall clock without a supply."""
     bench = Bench(tmp_path, WallClock(), None)
     yield bench
     bench.catalogue.close()
 
 
 def test_finish_now_ends_the_pacing(bench: Bench) -> None:
-    assert bench.obey("finish_now") == ("done", "no pacing from here on")
+    assert bench.execute("finish_now") == ("done", "no pacing from here on")
     # A paced clock would ask whether to go on, and sleep for years.
     assert not bench.clock.wait_until(10**18, lambda: False)
     assert bench.clock.utc_ns() == 10**18
 
 
 def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
-    words = "the test runs on the wall clock, which cannot skip time"
-    assert bare.obey("finish_now") == ("refused", words)
+    message = "the test runs on the wall clock, which cannot skip time"
+    assert bare.execute("finish_now") == ("refused", message)
 
 
 def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
@@ -149,19 +149,19 @@ def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
     ]
 
 
-def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Bench) -> None:
+def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(bench: Bench) -> None:
     proposed = frozen_baseline("B", state="proposed", approval="by_a_person", id=2)
     bench.catalogue.commit_set(SetCommit(baselines=[proposed]))
-    assert bench.obey("approve_baseline", position="B") == ("done", "B-baseline-1 is approved")
+    assert bench.execute("approve_baseline", position="B") == ("done", "B-baseline-1 is approved")
     (row,) = bench.catalogue.rows(BaselineRow)
     assert (row.state, row.approval, row.approved_utc_ns) == ("approved", "ann", bench.clock.utc_ns())
     assert (row.mean, row.limits) == (proposed.mean, proposed.limits), "only its life goes on"
-    again = bench.obey("approve_baseline", position="B")
+    again = bench.execute("approve_baseline", position="B")
     assert again == ("refused", "the baseline of B is approved: there is nothing to sign")
-    told = (
+    result = (
         "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
     )
-    assert bench.obey("renew_baseline", position="B", note=" coupled anew ") == ("done", told)
+    assert bench.execute("renew_baseline", position="B", note=" coupled anew ") == ("done", result)
     assert baselines(bench) == [
         ("B-baseline-1", "retired", 0, 47),
         ("B-baseline-2", "collecting", 10, 57),
@@ -174,14 +174,14 @@ def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Benc
 
 
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
-    state, why = bench.obey("renew_baseline", position="B", note=" ")
-    assert (state, "say why the baseline is retired" in why) == ("refused", True)
+    state, answer = bench.execute("renew_baseline", position="B", note=" ")
+    assert (state, "say why the baseline is retired" in answer) == ("refused", True)
     bench.next_set = 378
-    state, why = bench.obey("renew_baseline", position="B", note="a new sensor")
-    told = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
-    assert (state, why.startswith(told), "schedule.end_h" in why) == ("refused", True, True), why
+    state, answer = bench.execute("renew_baseline", position="B", note="a new sensor")
+    expected = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
+    assert (state, answer.startswith(expected), "schedule.end_h" in answer) == ("refused", True, True), answer
     bench.next_set = 377
-    assert bench.obey("renew_baseline", position="B", note="a new sensor")[0] == "done"
+    assert bench.execute("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
     assert baselines(bench) == [
         ("B-baseline-1", "retired", 0, 47),
@@ -189,10 +189,10 @@ def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Benc
     ]
 
 
-def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_who_retired_it(
+def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
     bench: Bench,
 ) -> None:
-    """Nothing has returned to normal: what they were judged by is gone."""
+    """The condition has not returned to normal: the reference of the assessment is retired."""
     moment = Moment(utc_ns=0, due_h=HOUR, set_index=7)
     for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
         condition = Condition(
@@ -202,26 +202,26 @@ def test_a_retired_baseline_takes_the_alarms_of_a_change_along_in_the_name_of_wh
     seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
     bench.listener.listen()
     assert bench.answer(seen)[0] == "done"
-    assert bench.obey("renew_baseline", position="B", note="coupled anew")[0] == "done"
+    assert bench.execute("renew_baseline", position="B", note="coupled anew")[0] == "done"
     assert [row.state for row in bench.catalogue.rows(AlarmRow)] == ["normal", "normal", "unacknowledged"]
     ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
-    why = "its baseline was retired: coupled anew"
-    for told in map(transition, ended):
-        assert (told["kind"], told["who"], told["why"]) == ("alarm_reset", "ann", why)
+    reason = "its baseline was retired: coupled anew"
+    for change in map(transition, ended):
+        assert (change["kind"], change["who"], change["why"]) == ("alarm_reset", "ann", reason)
     assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
     bench.restart()
     assert bench.ledger.alarms[("B", "wall_change")].state == "normal"
 
 
 def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
-    assert bench.obey("stop") == ("done", "stopping after the shot being taken")
+    assert bench.execute("stop") == ("done", "stopping after the shot being taken")
     assert bench.stop.is_set()
 
 
-def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
+def test_a_command_without_a_stored_result_is_executed_once(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Meanwhile the interlock may have opened: a second time the supply would switch on by itself."""
+    """The interlock may have tripped meanwhile: a repetition would switch the supply on again."""
     assert bench.switch is not None
     order_id = bench.write("supply_on")
 
@@ -240,10 +240,10 @@ def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
     assert [what for what, *_ in bench.switch.done] == ["on"]
 
 
-def test_what_an_order_stores_is_stored_with_its_answer(
+def test_the_rows_of_a_command_are_stored_with_its_result(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever is killed behind the deed has given the answer."""
+    """A process that is killed after the command has stored its result."""
     orders = [
         bench.write("annotate", from_h=1.0, text="couplant renewed"),
         bench.write("hold", note="door open"),
@@ -259,18 +259,16 @@ def test_what_an_order_stores_is_stored_with_its_answer(
     assert bench.listener.held == "held by ann: door open"
 
 
-def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench) -> None:
+def test_a_command_past_its_deadline_expires_and_is_not_executed(bench: Bench) -> None:
     bench.left_s = 0.0
-    state, words = bench.obey("supply_on")
-    assert (state, words.split(":")[0]) == ("expired", "not carried out, and nobody will")
+    state, message = bench.execute("supply_on")
+    assert (state, message.split(":")[0]) == ("expired", "not carried out, and nobody will")
     assert bench.switch is not None
     assert bench.switch.done == []
 
 
-def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whoever still found it pending at its deadline was told that nobody begins it."""
+def test_a_command_marked_after_its_deadline_expires(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that read it as pending at its deadline got the result that it is not executed."""
     start = bench.catalogue.start_command
 
     def slow_disk(order_id: int) -> None:
@@ -278,36 +276,36 @@ def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
         bench.left_s = 0.0
 
     monkeypatch.setattr(bench.catalogue, "start_command", slow_disk)
-    assert bench.obey("supply_on")[0] == "expired"
+    assert bench.execute("supply_on")[0] == "expired"
     assert bench.switch is not None
     assert bench.switch.done == []
 
 
 @pytest.mark.parametrize("begin", [True, False], ids=["at the start", "at the first look"])
-def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
+def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(
     bench: Bench, begin: bool
 ) -> None:
-    begun, waiting = bench.write("supply_on"), bench.write("release")
+    started, waiting = bench.write("supply_on"), bench.write("release")
     rows_only = bench.write("hold", note="why")
-    for order_id in (begun, rows_only):
+    for order_id in (started, rows_only):
         bench.catalogue.start_command(order_id)  # ... and killed
     bench.restart(begin=begin)
     if not begin:  # the disk did not take it
         bench.listener.listen()
-    assert bench.answer(begun) == (
+    assert bench.answer(started) == (
         "failed",
         "the recorder ended while carrying it out; look before you give it again",
     )
     for order_id in (waiting, rows_only):
-        state, words = bench.answer(order_id)
-        assert (state, "it was given before this recorder began" in words) == ("expired", True)
+        state, message = bench.answer(order_id)
+        assert (state, "it was given before this recorder began" in message) == ("expired", True)
     assert bench.listener.held == "", "what it would have stored is not there"
     assert bench.switch is not None
     assert bench.switch.done == []
-    assert bench.obey("supply_on") == ("done", "the supply is on")
+    assert bench.execute("supply_on") == ("done", "the supply is on")
 
 
-def test_an_order_is_marked_before_it_is_carried_out(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_is_marked_before_its_execution(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[str] = []
     assert bench.switch is not None
     supply_on = bench.switch.supply_on
@@ -317,18 +315,18 @@ def test_an_order_is_marked_before_it_is_carried_out(bench: Bench, monkeypatch: 
         return supply_on(*author, **set_to)
 
     monkeypatch.setattr(bench.switch, "supply_on", seen)
-    assert bench.obey("supply_on")[0] == "done"
+    assert bench.execute("supply_on")[0] == "done"
     assert found == ["started"]
 
 
-def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
+def test_without_a_mark_only_repeatable_commands_are_executed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refused(order_id: int) -> None:
         raise CatalogueWriteError("the disk is full")
 
     monkeypatch.setattr(bench.catalogue, "start_command", refused)
-    assert bench.obey("supply_off")[0] == "done"
+    assert bench.execute("supply_off")[0] == "done"
     bench.write("supply_on")
     bench.now_ns += 200 * NS_PER_MS
     with pytest.raises(CatalogueWriteError):
@@ -337,22 +335,22 @@ def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
     assert [what for what, *_ in bench.switch.done] == ["off"]
 
 
-def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
+def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
     order_id = bench.write("hold", note="why")
     bench.listener.close("the recorder has ended")
-    state, words = bench.answer(order_id)
-    assert (state, "the recorder has ended" in words) == ("expired", True)
+    state, message = bench.answer(order_id)
+    assert (state, "the recorder has ended" in message) == ("expired", True)
     bench.restart()
     assert bench.listener.held == ""
 
 
-def test_a_shelf_is_told_to_be_over_by_the_recorder_while_no_set_comes(bench: Bench) -> None:
-    bench.obey("retire", position="C", note="coil is hot")
+def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> None:
+    bench.execute("retire", position="C", note="coil is hot")
     (alarm_id,) = (row.id for row in bench.catalogue.rows(AlarmRow))
     assert alarm_id is not None
-    done = bench.obey("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil is on its way")
+    done = bench.execute("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil is on its way")
     assert done == ("done", "shelve alarm")
-    again = bench.obey("shelve_alarm", alarm_id=99, for_h=8.0, reason="which?")
+    again = bench.execute("shelve_alarm", alarm_id=99, for_h=8.0, reason="which?")
     assert again == ("refused", "there is no alarm 99")
     for hour, suppressed in [(7.9, "shelved"), (8.1, None)]:
         now_ns = bench.clock.utc_ns() + round(hour * NS_PER_H)
@@ -363,22 +361,22 @@ def test_a_shelf_is_told_to_be_over_by_the_recorder_while_no_set_comes(bench: Be
     assert bench.ledger.retired().keys() == {"C"}, "a shelf strikes nobody's transducer"
 
 
-def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
+def test_a_pause_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     done = "on hold: nothing strikes until the test is released; sets that fall due are missed"
-    assert bench.obey("hold", note="door open") == ("done", done)
+    assert bench.execute("hold", note="door open") == ("done", done)
     assert bench.listener.held == "held by ann: door open"
     already = "the test is already on hold: held by ann: door open"
-    assert bench.obey("hold", note="why") == ("refused", already)
+    assert bench.execute("hold", note="why") == ("refused", already)
     bench.restart()
     assert bench.listener.held == "held by ann: door open"
-    assert bench.obey("release", note="shut") == ("done", "released: the next due set is taken")
+    assert bench.execute("release", note="shut") == ("done", "released: the next due set is taken")
     assert bench.listener.held == ""
     bench.restart()
     assert bench.listener.held == ""
-    assert bench.obey("release") == ("refused", "the test is not on hold")
+    assert bench.execute("release") == ("refused", "the test is not on hold")
 
 
-def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench: Bench) -> None:
+def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
     orders = [
         *(bench.write("hold", note="why") for _ in range(2)),
         *(bench.write("release") for _ in range(2)),
@@ -388,20 +386,20 @@ def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench:
     assert bench.listener.held == ""
 
 
-def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
-    assert bench.obey("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
+def test_a_transducer_is_disabled_and_enabled(bench: Bench) -> None:
+    assert bench.execute("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
-    assert bench.obey("confirm", position="B") == ("refused", "B is retired")
-    assert bench.obey("retire", position="B") == ("refused", "B is retired already")
+    assert bench.execute("confirm", position="B") == ("refused", "B is retired")
+    assert bench.execute("retire", position="B") == ("refused", "B is retired already")
     bench.restart()
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
-    assert bench.obey("reinstate", position="B") == ("done", "B strikes again from the next set")
+    assert bench.execute("reinstate", position="B") == ("done", "B strikes again from the next set")
     assert bench.ledger.retired() == {}
-    assert bench.obey("reinstate", position="B") == ("refused", "B is not retired")
+    assert bench.execute("reinstate", position="B") == ("refused", "B is not retired")
 
 
-def test_who_retired_it_is_told_with_the_order(bench: Bench) -> None:
-    bench.obey("retire", position="C")
+def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> None:
+    bench.execute("retire", position="C")
     assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})
     assert (event.kind, event.payload["proof"]) == ("alarm_raised", {"command_id": 1})
@@ -409,47 +407,47 @@ def test_who_retired_it_is_told_with_the_order(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("kind", ["retire", "reinstate"])
-def test_only_a_solitary_wave_transducer_is_retired(bench: Bench, kind: str) -> None:
-    words = "there is no solitary-wave transducer 'A'; there are: B, C, D"
-    assert bench.obey(kind, position="A") == ("refused", words)
+def test_only_a_solitary_wave_transducer_is_disabled(bench: Bench, kind: str) -> None:
+    message = "there is no solitary-wave transducer 'A'; there are: B, C, D"
+    assert bench.execute(kind, position="A") == ("refused", message)
 
 
 def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
-    bench.obey("retire", position="D")
+    bench.execute("retire", position="D")
     alarm_id, state = bench.alarm("D")
     assert state == "unacknowledged"
-    assert bench.obey("acknowledge_alarm", alarm_id=alarm_id, note="seen") == ("done", "acknowledged")
+    assert bench.execute("acknowledge_alarm", alarm_id=alarm_id, note="seen") == ("done", "acknowledged")
     assert bench.alarm("D") == (alarm_id, "acknowledged")
     again = f"alarm {alarm_id} is acknowledged: there is nothing to acknowledge"
-    assert bench.obey("acknowledge_alarm", alarm_id=alarm_id) == ("refused", again)
-    assert bench.obey("acknowledge_alarm", alarm_id=99) == ("refused", "there is no current alarm 99")
+    assert bench.execute("acknowledge_alarm", alarm_id=alarm_id) == ("refused", again)
+    assert bench.execute("acknowledge_alarm", alarm_id=99) == ("refused", "there is no current alarm 99")
 
 
 def test_the_supply_is_switched_by_its_author_at_this_hour(bench: Bench) -> None:
-    assert bench.obey("supply_on", voltage_v=5.0) == ("done", "the supply is on")
-    assert bench.obey("supply_on", voltage_v=50.0) == ("refused", "beyond the cap")
-    assert bench.obey("supply_off", note="done") == ("done", "the supply is off")
+    assert bench.execute("supply_on", voltage_v=5.0) == ("done", "the supply is on")
+    assert bench.execute("supply_on", voltage_v=50.0) == ("refused", "beyond the cap")
+    assert bench.execute("supply_off", note="done") == ("done", "the supply is off")
     assert bench.switch is not None
     assert bench.switch.done == [("on", "ann", HOUR, 5.0, None), ("off", "ann", HOUR)]
 
 
 @pytest.mark.parametrize("kind", ["supply_on", "supply_off"])
 def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
-    assert bare.obey(kind) == ("refused", "this test has no supply; configure [rig.supply]")
+    assert bare.execute(kind) == ("refused", "this test has no supply; configure [rig.supply]")
 
 
-def test_an_unknown_or_misspelt_order_is_answered_and_the_next_one_obeyed(bench: Bench) -> None:
-    state, words = bench.obey("self_destruct")
+def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) -> None:
+    state, message = bench.execute("self_destruct")
     assert state == "refused"
-    assert words.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
-    state, words = bench.obey("retire", positon="B")
+    assert message.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
+    state, message = bench.execute("retire", positon="B")
     assert state == "refused"
-    assert "arguments.position" in words
-    assert "arguments.positon" in words
-    assert bench.obey("hold", note="why")[0] == "done"
+    assert "arguments.position" in message
+    assert "arguments.positon" in message
+    assert bench.execute("hold", note="why")[0] == "done"
 
 
-def test_it_looks_no_oftener_than_its_interval(bench: Bench) -> None:
+def test_the_listener_polls_at_most_once_per_interval(bench: Bench) -> None:
     bench.listener.listen()
     order_id = bench.write("hold", note="why")
     bench.now_ns += 200 * NS_PER_MS - 1

@@ -1,4 +1,4 @@
-"""One definition for each order: what forbids it, in the words of web and recorder."""
+"""One definition of each command: its preconditions, with the same messages in web and recorder."""
 
 from dataclasses import replace
 
@@ -69,17 +69,17 @@ OPEN = {
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_what_nothing_forbids_is_carried_out(kind: str) -> None:
+def test_a_permitted_command_is_executed(kind: str) -> None:
     held = "held by ben" if kind == "release" else ""
     assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("word", ["finished", "stopped"])
-def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, word: str) -> None:
-    given = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = given.forbidden(facts(**OPEN, recorder=word))
-    if isinstance(given, DeskOrder):
+def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, word: str) -> None:
+    command = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = command.forbidden(facts(**OPEN, recorder=word))
+    if isinstance(command, DeskOrder):
         assert refusal is None
     else:
         assert refusal is not None
@@ -87,10 +87,10 @@ def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, wo
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) -> None:
-    given = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = given.forbidden(facts(**OPEN, recorder="silent", recorded=False))
-    assert (refusal is None) == isinstance(given, DeskOrder)
+def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
+    command = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = command.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    assert (refusal is None) == isinstance(command, DeskOrder)
     if refusal is not None:
         assert refusal.detail == "Nobody records this test: nobody would carry this out."
 
@@ -184,21 +184,23 @@ def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) ->
         ),
     ],
 )
-def test_words_of_a_refusal(kind: str, state: dict[str, object], reason: str, detail: str, hint: str) -> None:
+def test_a_rejection_has_the_expected_message(
+    kind: str, state: dict[str, object], reason: str, detail: str, hint: str
+) -> None:
     refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
     assert refusal is not None
     assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
     assert refusal.missing == (reason == "there is no current alarm 7")
 
 
-def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
+def test_every_kind_is_parsed_identically_from_row_and_web() -> None:
     web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
     for kind in KINDS:
         body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
         assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
 
 
-def test_nobody_s_order_switches_the_supply_on() -> None:
+def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
     web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
     with pytest.raises(ValidationError, match="author\n  Field required"):
         web.validate_python({"kind": "supply_on"})
@@ -206,7 +208,7 @@ def test_nobody_s_order_switches_the_supply_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments", "words"),
+    ("kind", "arguments", "message"),
     [
         ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
         ("retire", {}, "arguments.position: Field required"),
@@ -219,8 +221,8 @@ def test_nobody_s_order_switches_the_supply_on() -> None:
         ("acknowledge_alarm", {"alarm_id": True}, "arguments.alarm_id: Input should be a valid integer"),
     ],
 )
-def test_what_is_no_order_is_refused_with_its_part(
-    kind: str, arguments: dict[str, object], words: str
+def test_an_invalid_command_is_rejected_with_the_invalid_part(
+    kind: str, arguments: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises(UsageError, match=message):
         parse_command(kind, "ann", arguments)

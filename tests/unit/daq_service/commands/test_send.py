@@ -1,4 +1,4 @@
-"""Orders from the command line: written, answered, refused, or left for later."""
+"""Commands from the command line: stored, answered, rejected, or left pending."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -23,8 +23,8 @@ def beat(folder: Path, stage: Stage = "") -> None:
     heartbeat.beat("waiting")
 
 
-class Recorder:
-    """Answers what waits each time the person looks again."""
+class RecorderDouble:
+    """Recorder double that answers pending commands at each poll."""
 
     def __init__(self, folder: Path, catalogue: RecorderCatalogue, ownership: ExitStack) -> None:
         self.ownership = ownership
@@ -39,32 +39,32 @@ class Recorder:
             self.seen.append((row.kind, row.author, row.arguments))
             self.catalogue.finish_command(row.id, *self.answer)
 
-    def given(self, kind: str, **options: Any) -> int:
+    def send(self, kind: str, **options: Any) -> int:
         options = {"note": "", "author": "ann", "as_json": False, "wait": self.look, **options}
         return send_command(kind, config=None, data_dir=self.folder, **options)
 
 
 @pytest.fixture
-def recorder(tmp_path: Path) -> Iterator[Recorder]:
+def recorder(tmp_path: Path) -> Iterator[RecorderDouble]:
     with new_catalogue(tmp_path) as catalogue, ExitStack() as ownership:
         ownership.enter_context(own_data_folder(tmp_path))
-        yield Recorder(tmp_path, catalogue, ownership)
+        yield RecorderDouble(tmp_path, catalogue, ownership)
 
 
-def test_an_order_is_written_and_its_answer_printed(
-    recorder: Recorder, capsys: pytest.CaptureFixture[str]
+def test_a_command_is_stored_and_its_result_printed(
+    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorder.answer = ("done", "on hold: nothing strikes")
-    assert recorder.given("hold", note="door open") == 0
+    assert recorder.send("hold", note="door open") == 0
     assert recorder.seen == [("hold", "ann", {"note": "door open"})]
     assert capsys.readouterr().out == "on hold: nothing strikes\n"
 
 
-def test_a_position_goes_with_the_order_and_json_is_one_object(
-    recorder: Recorder, capsys: pytest.CaptureFixture[str]
+def test_a_command_has_its_position_and_json_is_one_object(
+    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recorder.answer = ("done", "B strikes no more")
-    recorder.given("retire", position="B", note="coil is hot", as_json=True)
+    recorder.send("retire", position="B", note="coil is hot", as_json=True)
     assert json.loads(capsys.readouterr().out) == {
         "id": 1,
         "kind": "retire",
@@ -75,46 +75,46 @@ def test_a_position_goes_with_the_order_and_json_is_one_object(
     }
 
 
-def test_what_is_not_given_is_left_out(recorder: Recorder) -> None:
-    recorder.given("supply_on", voltage_v=5.0, current_limit_a=None)
+def test_arguments_that_are_not_given_are_left_out(recorder: RecorderDouble) -> None:
+    recorder.send("supply_on", voltage_v=5.0, current_limit_a=None)
     assert recorder.seen[0][2] == {"note": "", "voltage_v": 5.0}
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_refusal_is_an_error_with_the_recorders_reason(
-    recorder: Recorder, capsys: pytest.CaptureFixture[str], as_json: bool
+def test_a_rejected_command_is_an_error_with_the_recorders_reason(
+    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
     recorder.answer = ("refused", "B is not retired")
     with pytest.raises(UsageError, match="refused to reinstate: B is not retired") as refusal:
-        recorder.given("reinstate", position="B", as_json=as_json)
+        recorder.send("reinstate", position="B", as_json=as_json)
     assert refusal.value.exit_code == 2
-    said = capsys.readouterr().out
-    assert (json.loads(said)["state"] if as_json else said) == ("refused" if as_json else "")
+    printed = capsys.readouterr().out
+    assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
 
 
-def test_arguments_that_no_recorder_would_take_are_not_written(recorder: Recorder) -> None:
+def test_invalid_arguments_are_not_stored(recorder: RecorderDouble) -> None:
     with pytest.raises(UsageError, match=r"arguments\.voltage_v"):
-        recorder.given("supply_on", voltage_v=-5.0)
+        recorder.send("supply_on", voltage_v=-5.0)
     assert recorder.catalogue.open_commands() == recorder.seen == []
 
 
-def test_an_order_that_nobody_begins_in_time_expires(
-    recorder: Recorder, capsys: pytest.CaptureFixture[str]
+def test_a_command_that_is_not_started_in_time_expires(
+    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(
         BusyError, match=r"order 1 \(release\) expired: not carried out, and nobody"
     ) as silence:
-        recorder.given("release", within_s=0.0, as_json=True)
+        recorder.send("release", within_s=0.0, as_json=True)
     assert silence.value.exit_code == 5
     assert json.loads(capsys.readouterr().out)["state"] == "expired"
     assert recorder.seen == []
 
 
-def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder: Recorder) -> None:
+def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: RecorderDouble) -> None:
     with pytest.raises(
         BusyError, match=r"began order 1 \(hold\) .* look before you give it again"
     ) as silence:
-        recorder.given(
+        recorder.send(
             "hold",
             note="why",
             carried_out_within_s=0.0,
@@ -123,43 +123,43 @@ def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder
     assert silence.value.exit_code == 5
 
 
-def test_an_order_that_its_recorder_died_over_is_told_as_failed(recorder: Recorder) -> None:
+def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder: RecorderDouble) -> None:
     recorder.answer = ("failed", "the recorder ended while carrying it out")
     with pytest.raises(BusyError, match=r"order 1 \(hold\) failed: the recorder ended"):
-        recorder.given("hold", note="why")
+        recorder.send("hold", note="why")
 
 
-def killed(recorder: Recorder) -> None:
+def killed(recorder: RecorderDouble) -> None:
     recorder.ownership.close()
 
 
-def killed_and_its_heartbeat_lost(recorder: Recorder) -> None:
+def killed_and_its_heartbeat_lost(recorder: RecorderDouble) -> None:
     recorder.ownership.close()
     (recorder.folder / FILE_NAME).unlink()
 
 
-def overdue(recorder: Recorder) -> None:
+def overdue(recorder: RecorderDouble) -> None:
     _change(recorder, lambda beat: beat["mono_ns"] - 10**9 * round(beat["deadline_s"] + 1))
 
 
-def reboot(recorder: Recorder) -> None:
+def reboot(recorder: RecorderDouble) -> None:
     recorder.ownership.close()
     beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
     del beat["crc32"]
     (recorder.folder / FILE_NAME).write_text(json.dumps(beat | {"boot": "another"}), encoding="utf-8")
 
 
-def power_cut(recorder: Recorder) -> None:
+def power_cut(recorder: RecorderDouble) -> None:
     recorder.ownership.close()
     (recorder.folder / FILE_NAME).write_text("", encoding="utf-8")
 
 
-def stopped(recorder: Recorder) -> None:
+def stopped(recorder: RecorderDouble) -> None:
     tell(recorder.catalogue, "recorder_stopped")
     beat(recorder.folder, "ended")
 
 
-def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> None:
+def _change(recorder: RecorderDouble, mono_ns: Callable[[dict[str, Any]], int]) -> None:
     beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
     del beat["crc32"]
     text = json.dumps(beat | {"mono_ns": mono_ns(beat)})
@@ -167,40 +167,44 @@ def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> Non
 
 
 @pytest.mark.parametrize("end", [killed, killed_and_its_heartbeat_lost, overdue, reboot, power_cut, stopped])
-def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable[[Recorder], None]) -> None:
+def test_without_a_recorder_no_command_is_stored(
+    recorder: RecorderDouble, end: Callable[[RecorderDouble], None]
+) -> None:
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
-        recorder.given("hold", note="why")
+        recorder.send("hold", note="why")
     assert recorder.catalogue.open_commands() == []
 
 
-@pytest.mark.parametrize("told", ["schedule_done", "recorder_stopped"])
-def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, told: str) -> None:
-    tell(recorder.catalogue, told)
+@pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
+def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble, kind: str) -> None:
+    tell(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
-        recorder.given("hold", note="why")
+        recorder.send("hold", note="why")
     assert recorder.catalogue.open_commands() == []
 
 
 @pytest.mark.parametrize(
-    ("told", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
+    ("kinds", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
 )
-def test_a_recorder_that_lingers_or_was_started_again_listens(
-    recorder: Recorder, told: list[str], stage: Stage
+def test_a_finished_or_restarted_recorder_accepts_commands(
+    recorder: RecorderDouble, kinds: list[str], stage: Stage
 ) -> None:
-    tell(recorder.catalogue, *told)
+    tell(recorder.catalogue, *kinds)
     beat(recorder.folder, stage)
-    assert recorder.given("hold", note="why") == 0
+    assert recorder.send("hold", note="why") == 0
     assert len(recorder.seen) == 1
 
 
-def test_a_folder_without_data_has_nobody_to_order(tmp_path: Path) -> None:
+def test_a_folder_without_data_rejects_commands(tmp_path: Path) -> None:
     with pytest.raises(NoDataYetError, match="no data yet"):
         send_command("hold", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
 
 
-def test_the_author_is_this_user_unless_named(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_author_is_this_user_unless_named(
+    recorder: RecorderDouble, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("getpass.getuser", lambda: "u" * 100)
-    recorder.given("hold", note="why", author=None)
+    recorder.send("hold", note="why", author=None)
     assert recorder.seen[0][1] == "u" * 80

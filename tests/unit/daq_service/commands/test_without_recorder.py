@@ -1,4 +1,4 @@
-"""Orders to a test that nobody records: done once in the recorder's place, or refused."""
+"""Commands to a test without a recorder: executed once in its place, or rejected."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ HOLE = Condition(
 
 
 def ended_test(folder: Path) -> int:
-    """A folder with one alarm that waits, and nobody who records; the alarm's id."""
+    """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
         change = update(None, HOLE, Moment(utc_ns=5, due_h=5.0, set_index=1))
         assert change is not None
@@ -55,7 +55,7 @@ def acknowledge(folder: Path, alarm_id: int = 1) -> int:
     return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
 
 
-def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(tmp_path: Path) -> None:
+def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path: Path) -> None:
     order_id = acknowledge(tmp_path, ended_test(tmp_path))
     with open_catalogue(tmp_path) as catalogue:
         (alarm,), (order,) = catalogue.rows(AlarmRow), catalogue.rows(CommandRow)
@@ -69,7 +69,7 @@ def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(t
     assert history.commands == {order_id: order}
 
 
-def test_what_is_forbidden_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_forbidden_command_stores_nothing(tmp_path: Path) -> None:
     alarm_id = ended_test(tmp_path)
     acknowledge(tmp_path, alarm_id)
     before = read_history(tmp_path).last_number
@@ -82,7 +82,7 @@ def test_what_is_forbidden_leaves_nothing_behind(tmp_path: Path) -> None:
     assert read_history(tmp_path).last_number == before
 
 
-def test_a_recorder_that_has_come_meanwhile_is_not_disturbed(
+def test_a_recorder_started_meanwhile_is_not_disturbed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alarm_id = ended_test(tmp_path)
@@ -129,7 +129,7 @@ acknowledge(Path(sys.argv[1]))
         ("before the history", True),
     ],
 )
-def test_whoever_is_killed_has_done_all_of_it_or_nothing(tmp_path: Path, point: str, done: bool) -> None:
+def test_a_killed_process_has_stored_all_changes_or_none(tmp_path: Path, point: str, done: bool) -> None:
     alarm_id = ended_test(tmp_path)
     tests = str(Path(__file__).parents[3])
     path = os.pathsep.join(filter(None, [tests, os.environ.get("PYTHONPATH")]))
@@ -147,7 +147,7 @@ def test_whoever_is_killed_has_done_all_of_it_or_nothing(tmp_path: Path, point: 
     assert alarm.state == ("acknowledged" if done else "unacknowledged")
     assert [row.state for row in orders] == (["done"] if done else [])
     assert len(events) == 1 + done
-    # Given again it is done once, all the same, and the history has every line.
+    # A repeated command is done once, and the history has every line.
     if done:
         with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
             acknowledge(tmp_path, alarm_id)

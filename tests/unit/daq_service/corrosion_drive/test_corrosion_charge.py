@@ -1,4 +1,4 @@
-"""Charge from readings: closed forms, gaps, boots, and what a restart carries on."""
+"""Charge from current readings: closed forms, gaps, boots, and continuation after a restart."""
 
 import functools
 import itertools
@@ -62,8 +62,8 @@ def test_a_decaying_current_approaches_its_closed_form_as_the_rule_must():
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=1e-3)  # second order
 
 
-def test_a_wall_of_the_papers_size_fits_faradays_law():
-    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h: the order of charge this bookkeeping is for."""
+def test_the_charge_of_the_papers_wall_agrees_with_faradays_law():
+    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h, the order of charge of such tests."""
     iron_kg = 2.3e-3 * 6.4516e-4 * 7800.0
     coulomb = iron_kg / 55.845e-3 * 2.0 * FARADAY_C_PER_MOL
     charge = integrated([10.0 * i for i in range(300 * 360 + 1)], lambda t: coulomb / (300.0 * 3600.0))
@@ -129,12 +129,12 @@ def row(**changes):
         ({"supply_age_s": None}, {"command": Command(), "booked_utc_ns": None}),
     ],
 )
-def test_a_restart_goes_on_from_the_newest_row(changes, expected):
+def test_a_restart_continues_from_the_newest_row(changes, expected):
     state = restored_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
     tripped = changes.get("supply_tripped")
     assert state == DriveState(charge=Charge(coulomb=123.0, unknown_s=7.0), tripped=tripped, **expected)
 
 
 @pytest.mark.parametrize("newest", [None, row(supply_state="absent", charge_coulomb=None, unknown_s=None)])
-def test_without_a_supplys_row_it_starts_at_nothing(newest):
+def test_without_a_row_of_the_supply_the_charge_starts_at_zero(newest):
     assert restored_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()

@@ -1,4 +1,4 @@
-"""The drive beside the line: what a restart finds of its interlock, and how the end of a test leaves it."""
+"""The supply seen from the line: the interlock after a restart, and the supply at the end of a test."""
 
 import pytest
 from support.serial_rig import TestClock
@@ -15,7 +15,7 @@ MOMENT = Moment(utc_ns=0, due_h=1.0, set_index=None)
 
 
 class Supply:
-    """A supply that is on; ``error`` is what it answers."""
+    """Supply double that is on; ``error`` is raised by each read."""
 
     def __init__(self, clock):
         self.clock, self.on, self.error = clock, True, None
@@ -32,15 +32,15 @@ class Supply:
         self.on = True
 
 
-class NothingBefore:
-    """A catalogue without a row of the drive."""
+class EmptyCatalogue:
+    """Catalogue double without a row of the supply."""
 
     def last_environment(self):
         return None
 
 
-def tripped(*, acknowledged=False):
-    """The alarm of an open interlock, as stored."""
+def trip_alarm(*, acknowledged=False):
+    """Return the stored alarm of a tripped interlock."""
     condition = Condition(
         position=None,
         kind="interlock_tripped",
@@ -54,8 +54,8 @@ def tripped(*, acknowledged=False):
     return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
 
 
-def watched(*alarms, off_at_end=False):
-    """A watch that a recorder begins with these alarms, its supply and what it stored."""
+def start_watch(*alarms, off_at_end=False):
+    """Return a watch started with these alarms, its supply and the stored rows."""
     clock = TestClock()
     supply, stored = Supply(clock), []
     settings = RigSettings(
@@ -69,19 +69,19 @@ def watched(*alarms, off_at_end=False):
         if change is not None:
             transaction.add_alarm(change, moment)
 
-    return DriveWatch(settings, rig, NothingBefore(), known, carry, stored.append), supply, stored
+    return DriveWatch(settings, rig, EmptyCatalogue(), known, carry, stored.append), supply, stored
 
 
 @pytest.mark.parametrize("acknowledged", [False, True])
-def test_a_standing_trip_keeps_the_interlock_open_after_a_restart(acknowledged):
-    watch, supply, _ = watched(tripped(acknowledged=acknowledged))
+def test_an_active_trip_keeps_the_interlock_tripped_after_a_restart(acknowledged):
+    watch, supply, _ = start_watch(trip_alarm(acknowledged=acknowledged))
     watch.tick(2.0)
     assert not supply.on
     assert watch.summary()["supply_tripped"] == "hole at B"
 
 
 def test_an_alarm_is_stored_when_it_changes_and_once():
-    watch, supply, stored = watched()
+    watch, supply, stored = start_watch()
     answer = watch.supply_on("Ada", 0.5, voltage_v=None, current_limit_a=None)
     assert answer() == "the supply is on, read back as commanded"
     watch.tick(1.0)
@@ -93,15 +93,15 @@ def test_an_alarm_is_stored_when_it_changes_and_once():
 
 
 @pytest.mark.parametrize(
-    ("off_at_end", "error", "told", "on"),
+    ("off_at_end", "error", "expected", "on"),
     [
         (True, None, "the supply is off", False),
         (False, None, "", True),
         (True, ConnectionLostError("gone"), "the supply may still be on, switch it off by hand: gone", True),
     ],
 )
-def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, told, on):
-    watch, supply, _ = watched(off_at_end=off_at_end)
+def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, expected, on):
+    watch, supply, _ = start_watch(off_at_end=off_at_end)
     supply.error = error
-    assert watch.end() == told
+    assert watch.end() == expected
     assert supply.on is on

@@ -1,4 +1,4 @@
-"""The corrosion drive on a scripted supply and a clock that the test moves."""
+"""The corrosion supply control on a scripted supply and a manual clock."""
 
 import pytest
 from support.scripted_supply import ScriptedSupply
@@ -86,7 +86,7 @@ def energised():
 # Reading -------------------------------------------------------------------------------------------
 
 
-def test_one_call_asks_the_supply_once_at_most():
+def test_one_call_queries_the_supply_at_most_once():
     bench = Bench()
     total = 0
     for _ in range(600):
@@ -100,7 +100,7 @@ def test_one_call_asks_the_supply_once_at_most():
     assert bench.probe.calls == 5
 
 
-def test_a_recorder_that_was_busy_reads_once_and_not_in_a_burst(energised):
+def test_a_busy_recorder_reads_once_afterwards(energised):
     energised.supply.calls.clear()
     energised.clock.advance(25.0)
     for _ in range(5):
@@ -143,13 +143,13 @@ def test_a_window_holds_the_readings_of_its_set(energised):
     assert row["charge_coulomb"] > 0.0, "totals go on"
 
 
-def test_without_a_supply_it_says_absent():
+def test_without_a_supply_the_state_is_absent():
     row = summary(no_supply(0, 0.0))
     assert (row["supply_state"], row["supply_quality"], row["climate_quality"]) == ("absent",) * 3
     assert row["charge_coulomb"] is None
 
 
-def test_the_climate_goes_on_without_the_supply_and_the_other_way_round(energised):
+def test_climate_and_supply_are_read_independently(energised):
     energised.supply.error = LOST
     energised.run(200.0)
     assert energised.summary()["climate_quality"] == "good"
@@ -164,7 +164,7 @@ def test_the_climate_goes_on_without_the_supply_and_the_other_way_round(energise
 # Lost links ----------------------------------------------------------------------------------------
 
 
-def test_before_the_first_reading_nothing_is_known():
+def test_before_the_first_reading_the_state_is_unknown():
     bench = Bench()
     row = bench.summary()
     assert (row["supply_state"], row["supply_quality"], row["supply_age_s"]) == ("unknown", "stale", None)
@@ -188,7 +188,7 @@ def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
     assert str(error) in energised.message("supply_lost")
 
 
-def test_time_without_readings_is_booked_once_and_not_integrated(energised):
+def test_time_without_readings_is_counted_once_and_not_integrated(energised):
     charge_c = energised.summary()["charge_coulomb"]
     energised.supply.error = LOST
     energised.run(100.0)
@@ -205,7 +205,7 @@ def test_time_without_readings_is_booked_once_and_not_integrated(energised):
 # Interlock -----------------------------------------------------------------------------------------
 
 
-def test_a_trip_switches_off_and_stays_until_a_person_orders(energised):
+def test_a_trip_switches_off_and_lasts_until_a_command(energised):
     assert energised.drive.trip("hole at B") is True
     assert not energised.supply.on
     energised.run(600.0)
@@ -220,14 +220,14 @@ def test_a_trip_switches_off_and_stays_until_a_person_orders(energised):
     assert energised.drive.output() == "on"
 
 
-def test_the_first_reason_stays(energised):
+def test_the_first_reason_of_a_trip_is_kept(energised):
     energised.drive.trip("hole at B")
     energised.drive.trip("hole at C")
     assert energised.drive.tripped == "hole at B"
 
 
 @pytest.mark.parametrize("author", ["", "  "])
-def test_nobody_is_no_author(energised, author):
+def test_an_empty_author_is_rejected(energised, author):
     energised.drive.trip("hole at B")
     energised.supply.calls.clear()
     with pytest.raises(ValueError, match="author"):
@@ -238,7 +238,7 @@ def test_nobody_is_no_author(energised, author):
     assert energised.drive.tripped == "hole at B"
 
 
-def test_an_order_that_fails_leaves_the_interlock_open(energised):
+def test_a_failed_command_leaves_the_interlock_tripped(energised):
     energised.drive.trip("hole at B")
     energised.supply.error = ConfigurationError("its protection has tripped")
     with pytest.raises(ConfigurationError):
@@ -249,7 +249,7 @@ def test_an_order_that_fails_leaves_the_interlock_open(energised):
     assert not energised.supply.on
 
 
-def test_over_current_trips_after_some_readings_in_a_row(energised):
+def test_overcurrent_trips_after_consecutive_readings(energised):
     energised.supply.current_a = 0.95
     energised.run(2 * INTERVAL_S)
     assert energised.active() == set()
@@ -263,7 +263,7 @@ def test_over_current_trips_after_some_readings_in_a_row(energised):
     assert "0.95 A in 3 consecutive readings" in energised.message("interlock_tripped")
 
 
-def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised):
+def test_a_command_after_the_trip_cancels_the_pending_switch_off(energised):
     energised.supply.error = LOST
     energised.drive.trip("hole at B")
     energised.supply.error = None
@@ -273,7 +273,7 @@ def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised)
     assert energised.active() == set()
 
 
-def test_silence_trips_it_after_its_time_and_it_is_off_when_it_answers(energised):
+def test_a_silent_supply_trips_after_its_time_and_is_switched_off_later(energised):
     energised.supply.error = LOST
     energised.run(280.0)
     assert energised.drive.tripped is None
@@ -305,21 +305,21 @@ def test_silence_of_a_supply_that_was_found_off_trips_nothing():
 # Conditions ----------------------------------------------------------------------------------------
 
 
-def test_a_protection_that_is_not_told_is_not_ruled_out_as_the_cause(energised):
+def test_an_unreported_protection_is_named_as_a_possible_cause(energised):
     energised.supply.on = False
     energised.supply.protection_unknown = "dialect korad asks no protection"
     energised.run(60.0)
     assert "a protection may have tripped: dialect korad" in energised.message("supply_off_unexpectedly")
 
 
-def test_off_by_order_is_no_alarm(energised):
+def test_switching_off_by_command_is_no_alarm(energised):
     energised.drive.switch_off("Ada")
     energised.run(60.0)
     assert energised.active() == set()
     assert energised.drive.output() == "off"
 
 
-def test_at_the_limit_it_says_so():
+def test_the_current_limit_raises_its_alarm():
     bench = Bench()
     bench.drive.energise("Ada", voltage_v=8.0, current_limit_a=0.5)
     assert bench.supply.calls == ["energise 8 V 0.5 A"]
@@ -335,7 +335,7 @@ def test_at_the_limit_it_says_so():
 # Restart -------------------------------------------------------------------------------------------
 
 
-def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energised):
+def test_a_restart_continues_the_charge_and_does_not_switch(energised):
     row = energised.drive.row(0, 0.0)
     written_ns = energised.clock.utc_ns()
     bench = Bench(restored_state(row, written_utc_ns=written_ns, parameters=PARAMETERS), on=True)
@@ -351,7 +351,7 @@ def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energi
     assert bench.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
 
 
-def test_a_trip_outlives_a_restart():
+def test_a_trip_survives_a_restart():
     bench = Bench(DriveState(tripped="hole at B"), on=True)
     bench.run(INTERVAL_S)
     assert not bench.supply.on

@@ -1,4 +1,4 @@
-"""The process of the drive on a scripted supply and a clock that the test moves: also when nobody asks."""
+"""The supply process on a scripted supply and a manual clock, with and without a recorder."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -30,7 +30,7 @@ ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "cur
 
 
 class UtcSteps(TestClock):
-    """A clock whose UTC may be set."""
+    """Clock whose UTC can be set."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class UtcSteps(TestClock):
 
 
 class Bench:
-    """One supply, and the processes that own it one after the other."""
+    """One supply and the processes that own it one after the other."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.clock = folder, UtcSteps()
@@ -78,7 +78,7 @@ class Bench:
         return dict(self.process.answer({"id": 1, "do": do, **values}))
 
     def run(self, seconds: float, *, step_s: float = 5.0) -> None:
-        """Run it alone."""
+        """Run the process alone."""
         for _ in range(round(seconds / step_s)):
             if self.process.leaves:
                 return
@@ -86,7 +86,7 @@ class Bench:
             self.clock.advance(step_s)
 
     def active(self) -> set[str]:
-        return {told["name"] for told in self.ask()["conditions"] if told["active"]}
+        return {condition["name"] for condition in self.ask()["conditions"] if condition["active"]}
 
     def energised(self) -> int:
         return sum(call.startswith("energise") for call in self.supply.calls)
@@ -127,7 +127,7 @@ def test_the_next_action(facts: dict[str, Any], action: str) -> None:
     assert next_action(**{**usual, **facts}) == action
 
 
-def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench) -> None:
+def test_an_unwatched_supply_is_switched_off_once_and_released(bench: Bench) -> None:
     bench.ask()
     bench.run(UNWATCHED_S - 5.0)
     assert bench.supply.on
@@ -150,7 +150,7 @@ def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench
     assert bench.supply.on
 
 
-def test_being_asked_is_being_watched(bench: Bench) -> None:
+def test_a_request_restarts_the_watchdog(bench: Bench) -> None:
     for _ in range(5):
         bench.ask()
         bench.run(UNWATCHED_S - 10.0)
@@ -168,7 +168,7 @@ def test_a_step_of_utc_neither_switches_off_nor_keeps_on(bench: Bench) -> None:
     assert not bench.supply.on
 
 
-def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(bench: Bench) -> None:
+def test_a_silent_supply_is_switched_off_before_the_process_ends(bench: Bench) -> None:
     bench.supply.error = LOST
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
@@ -181,14 +181,14 @@ def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(b
     assert not look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
 
 
-def test_a_supply_that_loses_its_power_after_it_was_switched_off_keeps_no_process(bench: Bench) -> None:
+def test_a_supply_without_power_after_the_switch_off_ends_the_process(bench: Bench) -> None:
     bench.ask("switch off", author="the end of the test")
     bench.supply.error = LOST
     bench.run(30.0)
     assert bench.process.leaves, "62 min were seen"
 
 
-def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
+def test_a_killed_process_keeps_the_interlock(bench: Bench) -> None:
     bench.ask("trip", reason="hole at B")
     assert not bench.supply.on
     bench.supply.on = True  # at the front panel, while no process runs
@@ -198,7 +198,7 @@ def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
     assert bench.ask()["row"]["supply_tripped"] == "hole at B"
 
 
-def test_a_process_that_is_killed_leaves_the_output_and_the_next_one_counts_on(bench: Bench) -> None:
+def test_a_killed_process_leaves_the_output_and_the_next_one_continues(bench: Bench) -> None:
     before = bench.ask()["row"]
     bench.process.keep(at_once=True)
     bench.clock.advance(100.0)
@@ -212,7 +212,7 @@ def test_a_process_that_is_killed_leaves_the_output_and_the_next_one_counts_on(b
     assert bench.active() == set()
 
 
-def test_a_process_that_is_started_again_and_again_counts_the_silence_before_it(bench: Bench) -> None:
+def test_a_restarted_process_counts_the_earlier_silence(bench: Bench) -> None:
     bench.ask()
     bench.run(UNWATCHED_S - 10.0)
     bench.process.keep(at_once=True)
@@ -223,7 +223,7 @@ def test_a_process_that_is_started_again_and_again_counts_the_silence_before_it(
     assert not bench.supply.on
 
 
-def test_an_order_that_comes_too_late_is_refused(bench: Bench) -> None:
+def test_a_late_command_is_rejected(bench: Bench) -> None:
     bench.ask("switch off", author="Ada")
     answer = bench.ask(**ON, until_boot_ns=bench.clock.now_ns - 1)
     assert answer["error"] == "it came too late, nothing was done"
@@ -299,7 +299,7 @@ def test_before_a_successor_with_another_port_it_switches_off(bench: Bench) -> N
 
 @pytest.mark.parametrize("port", ["COM4", "COM5"])
 def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: Path, port: str) -> None:
-    """It may be the wrong one: its successor may reach the supply."""
+    """The port may be wrong, and the next process may reach the supply."""
     write_kept(tmp_path, kept_now(DriveState(must_switch_off=True), supply_port="COM7"))
     bench = Bench(tmp_path)
     bench.supply.error = LOST
@@ -308,7 +308,7 @@ def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: 
     assert (bench.locks, bench.ports) == (0, 0)
 
 
-def test_it_leaves_only_after_the_output_was_read_as_off(bench: Bench) -> None:
+def test_the_process_ends_only_after_the_output_reads_off(bench: Bench) -> None:
     bench.supply.current_a = 0.95
     bench.run(0.5 * UNWATCHED_S)
     kept = read_kept(bench.folder)
@@ -322,12 +322,12 @@ def test_stopped_while_it_waits_for_a_successor_it_switches_off(bench: Bench) ->
     assert not bench.supply.on
 
 
-def test_a_request_that_makes_no_sense_is_answered(bench: Bench) -> None:
+def test_an_invalid_request_gets_an_error_response(bench: Bench) -> None:
     assert "error" in bench.ask("energise")
     assert bench.energised() == 1
 
 
-def test_a_disk_that_takes_nothing_keeps_it_from_nothing(
+def test_a_full_disk_does_not_affect_the_supply_process(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
@@ -363,7 +363,7 @@ def test_the_age_of_the_written_state_is_reported(bench: Bench, monkeypatch: pyt
     assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
 
 
-def test_told_to_end_it_switches_off(bench: Bench) -> None:
+def test_the_process_switches_the_supply_off_when_it_ends(bench: Bench) -> None:
     bench.process.end()
     assert not bench.supply.on
     kept = read_kept(bench.folder)
@@ -391,14 +391,14 @@ def test_a_library_that_ends_the_process_does_not_leave_the_output_on(
     assert not supply.on
 
 
-def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:
+def test_the_process_reports_a_failed_switch_off_when_it_ends(bench: Bench) -> None:
     bench.supply.error = LOST
     with pytest.raises(RigError, match="may still be on; switch it off by hand") as unsafe:
         bench.process.end()
     assert unsafe.value.exit_code == 3
 
 
-def test_a_supply_that_was_never_met_is_given_up(tmp_path: Path) -> None:
+def test_a_supply_that_never_responded_is_given_up(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(60.0)
@@ -442,16 +442,20 @@ def test_a_command_ends_with_its_boot(bench: Bench, monkeypatch: pytest.MonkeyPa
 def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
     state = '{"charge": {"coulomb": 1.5, "unknown_s": 0.0}, "tripped": "hole", "unwatched": true, '
     state += '"output_on": %s, "booked_utc_ns": 5}'
-    rest = '"output": "off", "age_s": 1.0, "utc_ns": 1, "boot_ns": 1, "boot_id": "b", "heard_boot_ns": 1'
+    stored_fields = (
+        '"output": "off", "age_s": 1.0, "utc_ns": 1, "boot_ns": 1, "boot_id": "b", "heard_boot_ns": 1'
+    )
     for output_on, command in (("true", Command()), ("false", None), ("null", None)):
-        (tmp_path / DRIVE_FILE).write_text(f'{{"state": {state % output_on}, {rest}}}', encoding="utf-8")
+        (tmp_path / DRIVE_FILE).write_text(
+            f'{{"state": {state % output_on}, {stored_fields}}}', encoding="utf-8"
+        )
         kept = read_kept(tmp_path)
         assert kept is not None
         assert kept.state.command == command
         assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_unwatched"})
 
 
-def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
+def test_a_supply_that_is_on_is_never_given_up(tmp_path: Path) -> None:
     write_kept(tmp_path, kept_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18))
     bench = Bench(tmp_path)
     bench.supply.error = LOST
@@ -459,10 +463,10 @@ def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
     assert not bench.process.leaves
 
 
-# What is kept --------------------------------------------------------------------------------------
+# Stored state --------------------------------------------------------------------------------------
 
 
-def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
+def test_the_stored_state_reads_back_equal(tmp_path: Path) -> None:
     state = DriveState(
         charge=Charge(coulomb=1.5),
         tripped="hole",
@@ -488,7 +492,7 @@ def moved(kept: Any, **changes: Any) -> Any:
     ],
     ids=["in this boot", "before the reboot", "just now"],
 )
-def test_whoever_looks_is_told_how_old_it_is(
+def test_a_reader_gets_the_age_of_the_supply_state(
     tmp_path: Path, changes: Callable[[Any], dict[str, Any]], age_s: float
 ) -> None:
     assert boot_name() is not None

@@ -1,4 +1,4 @@
-"""The recorder's side of the drive's process: found, started, asked; and the channel between them."""
+"""The recorder's client of the supply process: discovery, start, requests, and the channel."""
 
 import socket
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "cur
 
 
 class Child:
-    """A process that was started and does not come up."""
+    """Started process that does not come up."""
 
     returncode: int | None = None
 
@@ -37,7 +37,7 @@ class Child:
 
 
 class Bench:
-    """A recorder's remote drive, and its process in the same thread; time passes by hand."""
+    """Remote supply of a recorder and its process in one thread on a manual clock."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.now_s = folder, 0.0
@@ -61,7 +61,7 @@ class Bench:
         return self.child
 
     def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)) -> None:
-        """Let the process begin."""
+        """Start the process."""
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
         self.process = DriveProcess(
@@ -84,18 +84,18 @@ class Bench:
             self.process.step()
             self.server.serve(seconds, self.process.answer)
 
-    def until_told(self, **row: Any) -> None:
-        """Tick until the row says so."""
+    def wait_for_row(self, **row: Any) -> None:
+        """Tick until the row has these values."""
         for _ in range(PATIENCE):
             self.remote.tick()
             self.pause(0.01)
-            told = self.remote.row(0, 0.0)
-            if all(getattr(told, name) == value for name, value in row.items()):
+            latest = self.remote.row(0, 0.0)
+            if all(getattr(latest, name) == value for name, value in row.items()):
                 return
-        pytest.fail(f"never told: {row}, but {told}")
+        pytest.fail(f"never told: {row}, but {latest}")
 
     def answer(self, reply: Reply, *, step_s: float = 0.01) -> str:
-        """Tick until there is an answer; its error."""
+        """Tick until the reply is complete; return its error."""
         for _ in range(PATIENCE):
             if reply.done or reply.error:
                 return reply.error
@@ -116,22 +116,22 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.is_killed()
 
 
-def test_commands_go_through_and_their_answers_come_back(bench: Bench) -> None:
+def test_commands_are_sent_and_their_results_returned(bench: Bench) -> None:
     bench.comes_up()
     assert bench.answer(bench.remote.energise("Ada", voltage_v=5.0)) == ""
     assert bench.supply.on
     assert "energise 5 V 1 A" in bench.supply.calls
-    bench.until_told(supply_state="on", supply_quality="good")
+    bench.wait_for_row(supply_state="on", supply_quality="good")
     assert bench.active() == {}
     bench.remote.trip("hole at B")
-    bench.until_told(supply_tripped="hole at B", supply_state="off")
+    bench.wait_for_row(supply_tripped="hole at B", supply_state="off")
     assert not bench.supply.on
     assert "interlock_tripped" in bench.active()
 
 
 def test_a_command_does_not_wait_for_its_answer(bench: Bench) -> None:
     bench.comes_up()
-    bench.until_told(supply_quality="good")
+    bench.wait_for_row(supply_quality="good")
     bench.process = None  # it stalls
     before_s = bench.now_s
     reply = bench.remote.energise("Ada")
@@ -146,7 +146,7 @@ def test_a_refusal_is_an_error_with_its_reason(bench: Bench) -> None:
     assert "the supply does not answer" in bench.answer(bench.remote.energise("Ada"))
 
 
-def test_where_nobody_is_a_process_is_started_and_again_ever_later(bench: Bench) -> None:
+def test_a_missing_process_is_started_with_growing_intervals(bench: Bench) -> None:
     bench.remote.tick()
     assert bench.started == 1
     bench.now_s += 10.0
@@ -159,7 +159,7 @@ def test_where_nobody_is_a_process_is_started_and_again_ever_later(bench: Bench)
     assert 4 <= bench.started <= 8
 
 
-def test_before_the_first_answer_nothing_is_known_and_after_a_while_that_is_an_alarm(bench: Bench) -> None:
+def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) -> None:
     bench.remote.tick()
     row = bench.remote.row(3, 1.5)
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
@@ -168,13 +168,13 @@ def test_before_the_first_answer_nothing_is_known_and_after_a_while_that_is_an_a
     assert "Its process has not answered" in bench.active()["supply_lost"]
 
 
-def test_a_process_that_is_gone_is_unknown_at_once_with_its_age(bench: Bench) -> None:
+def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
-    bench.until_told(supply_state="on")
+    bench.wait_for_row(supply_state="on")
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
-    bench.until_told(supply_state="unknown", supply_quality="lost")
+    bench.wait_for_row(supply_state="unknown", supply_quality="lost")
     assert list(bench.active()) == ["supply_lost"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)
@@ -183,7 +183,7 @@ def test_a_process_that_is_gone_is_unknown_at_once_with_its_age(bench: Bench) ->
     assert (row.unknown_s or 0.0) - unknown_s >= 100.0
     assert "nothing was sent to it" in bench.answer(bench.remote.energise("Ada"), step_s=1.0)
     bench.comes_up()
-    bench.until_told(supply_state="on")
+    bench.wait_for_row(supply_state="on")
     assert bench.active() == {}
 
 
@@ -197,7 +197,7 @@ def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench: Ben
     assert bench.supply.on
     assert {"interlock_tripped", "supply_switch_off_pending"} <= bench.active().keys()
     bench.comes_up()
-    bench.until_told(supply_state="off", supply_tripped="hole at B")
+    bench.wait_for_row(supply_state="off", supply_tripped="hole at B")
     assert not bench.supply.on
     assert list(bench.active()) == ["interlock_tripped"]
 
@@ -215,7 +215,7 @@ def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench: Benc
     bench.remote.tick()
     assert bench.started == 1, "another one"
     bench.comes_up()
-    bench.until_told(supply_state="off")
+    bench.wait_for_row(supply_state="off")
     assert not bench.supply.on
     assert bench.active() == {}
 
@@ -229,7 +229,7 @@ def test_a_stalled_process_is_replaced_also_without_a_command(bench: Bench) -> N
         bench.remote.tick()
     assert bench.killed == 1
     bench.comes_up()
-    bench.until_told(supply_state="on")
+    bench.wait_for_row(supply_state="on")
     assert bench.supply.on, "the command is still in force"
 
 
@@ -249,16 +249,16 @@ def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(ben
     assert not bench.process.leaves, "the old one waits for it"
 
 
-def test_a_process_that_kept_an_old_command_learns_that_it_has_ended(bench: Bench) -> None:
+def test_a_process_with_an_old_command_is_notified_of_its_end(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     old = (bench.folder / "drive.json").read_bytes()
     bench.answer(bench.remote.switch_off("Ada"))
     bench.is_killed()
-    (bench.folder / "drive.json").write_bytes(old)  # the disk had not taken more
+    (bench.folder / "drive.json").write_bytes(old)  # the disk was full
     bench.supply.on = True  # at the front panel
     bench.comes_up()
-    bench.until_told(supply_state="off")
+    bench.wait_for_row(supply_state="off")
     assert not bench.supply.on
 
 
@@ -292,7 +292,7 @@ def test_at_the_end_the_supply_is_off(bench: Bench) -> None:
 
 def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_switch_off(bench: Bench) -> None:
     bench.comes_up()
-    bench.until_told(supply_quality="good")
+    bench.wait_for_row(supply_quality="good")
     asleep, bench.process = bench.process, None
     bench.remote.energise("Ada")
     bench.remote.__exit__()
@@ -307,7 +307,7 @@ def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_swit
 
 
 class Guarded(Bench):
-    """A bench whose remote drive does not watch."""
+    """Bench whose remote supply does not watch."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -381,15 +381,15 @@ def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded: Gu
     assert guarded.started == 1
 
 
-def test_the_means_of_a_set_begin_behind_the_readings_of_its_row(bench: Bench) -> None:
+def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) -> None:
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
-    bench.until_told(supply_state="on", voltage_max_v=10.0)
+    bench.wait_for_row(supply_state="on", voltage_max_v=10.0)
     bench.remote.begin_window()
-    bench.until_told(current_a=None)
+    bench.wait_for_row(current_a=None)
 
 
-def test_the_first_process_takes_over_what_the_catalogue_says_a_later_one_what_was_kept(bench: Bench) -> None:
+def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench: Bench) -> None:
     (bench.folder / "drive.json").unlink()
     bench.remote.begin(DriveState(charge=Charge(coulomb=7.0)))
     bench.remote.begin(DriveState(charge=Charge(coulomb=1.0)))
@@ -401,7 +401,7 @@ def test_the_first_process_takes_over_what_the_catalogue_says_a_later_one_what_w
 # The channel ---------------------------------------------------------------------------------------
 
 
-def test_a_line_is_opened_with_the_key_that_sealed_it() -> None:
+def test_a_message_is_decoded_only_with_its_key() -> None:
     line = sealed(KEY, {"id": 1, "do": "look"})
     assert opened(KEY, line) == {"id": 1, "do": "look"}
     assert opened(b"other", line) is None
@@ -409,9 +409,9 @@ def test_a_line_is_opened_with_the_key_that_sealed_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "said", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
+    "data", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
 )
-def test_a_stranger_is_sent_away_and_keeps_nobody_waiting(said: bytes) -> None:
+def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data: bytes) -> None:
     answered: list[Any] = []
 
     def answer(message: Any) -> Any:
@@ -422,7 +422,7 @@ def test_a_stranger_is_sent_away_and_keeps_nobody_waiting(said: bytes) -> None:
         with socket.create_connection((HOST, server.port)) as stranger:
             stranger.settimeout(10.0)
             stranger.setblocking(False)
-            rest = memoryview(said)
+            rest = memoryview(data)
             for _ in range(PATIENCE):
                 server.serve(0.0, answer)
                 try:

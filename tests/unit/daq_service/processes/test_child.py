@@ -1,6 +1,7 @@
-"""What a child does for itself: its log outlives a full disk and a reader that holds it."""
+"""Log and signals of a child process: its log survives a full disk and a reader that locks it."""
 
 import errno
+import io
 import logging
 import signal
 import sys
@@ -26,23 +27,11 @@ def lines(folder: Path, name: str = "recorder.log") -> list[str]:
     return (folder / name).read_text(encoding="utf-8").splitlines()
 
 
-class FullDisk:
-    """A stream whose disk takes nothing."""
+class FullDisk(io.StringIO):
+    """Stream on a full disk."""
 
     def write(self, text):
         raise OSError(errno.ENOSPC, "No space left on device")
-
-    def flush(self):
-        pass
-
-    def close(self):
-        pass
-
-    def seek(self, *place):
-        pass
-
-    def tell(self):
-        return 0
 
 
 def test_a_full_disk_costs_lines_which_are_counted_and_no_traceback(logged, tmp_path, capsys):
@@ -57,8 +46,8 @@ def test_a_full_disk_costs_lines_which_are_counted_and_no_traceback(logged, tmp_
     assert capsys.readouterr().err == ""
 
 
-def test_a_log_that_somebody_reads_is_not_rotated_but_goes_on(logged, tmp_path, monkeypatch):
-    """Windows renames no open file."""
+def test_a_log_that_is_open_in_a_reader_is_not_rotated_but_continued(logged, tmp_path, monkeypatch):
+    """Windows does not rename an open file."""
     handler, write = logged
     handler.maxBytes = 30
     write("x" * 25)
@@ -87,7 +76,7 @@ def test_a_log_that_cannot_be_made_is_a_warning(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no terminal hangs up there")
-def test_a_closed_terminal_is_a_polite_stop():
+def test_a_closed_terminal_is_an_orderly_stop():
     with stop_on_signals() as stop:
         assert not stop.is_set()
         signal.raise_signal(signal.SIGHUP)
@@ -97,7 +86,7 @@ def test_a_closed_terminal_is_a_polite_stop():
 @pytest.mark.skipif(sys.platform == "win32", reason="no program is started so there")
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
 def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
-    """`nohup solimon run` outlives its terminal; a script's background jobs get no Ctrl-C."""
+    """`nohup solimon run` outlives its terminal; background jobs of a script get no Ctrl-C."""
     number = getattr(signal, name)
     before = signal.signal(number, signal.SIG_IGN)
     try:
@@ -111,8 +100,8 @@ def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
 
 
 @pytest.mark.timeout(60)
-def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
-    """Its handler runs in the thread that holds the event's lock, and waits for nobody."""
+def test_a_signal_during_a_read_of_the_event_is_handled():
+    """Its handler runs in the thread that holds the lock of the event, and must not wait."""
     with stop_on_signals() as stop:
         with stop._cond:
             signal.raise_signal(signal.SIGTERM)
@@ -120,12 +109,12 @@ def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
     assert "signals" not in {thread.name for thread in threading.enumerate()}
 
 
-@pytest.mark.parametrize(("sent", "alone"), [(child.FAREWELL, False), (b"", True)])
-def test_a_child_knows_whether_its_supervisor_said_goodbye(sent, alone, monkeypatch):
+@pytest.mark.parametrize(("sent", "expected"), [(child.FAREWELL, False), (b"", True)])
+def test_a_child_detects_whether_its_supervisor_left_on_purpose(sent, expected, monkeypatch):
     answers = iter([sent])
     monkeypatch.setattr(child.os, "read", lambda pipe, count: next(answers))
     monkeypatch.setattr(child.sys, "stdin", sys.__stdin__)
     stop = threading.Event()
     left_alone = child.leave_when_pipe_closes(stop)
     assert stop.wait(60.0)
-    assert left_alone.is_set() == alone
+    assert left_alone.is_set() == expected

@@ -24,7 +24,7 @@ from daq_service.processes.data_folder import (
 from daq_service.settings.tree import Settings
 
 
-def test_a_folder_is_made_with_its_parts_and_nothing_else(tmp_path: Path) -> None:
+def test_a_folder_is_created_with_its_subfolders_only(tmp_path: Path) -> None:
     prepare_data_folder(tmp_path / "a" / "b")
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["live", "logs", "sets"]
 
@@ -51,7 +51,7 @@ def test_a_folder_of_documents_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_folder_that_refuses_writing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_folder_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: Path, data: bytes) -> int:
         raise OSError(30, "Read-only file system", str(self))
 
@@ -60,7 +60,7 @@ def test_a_folder_that_refuses_writing_is_told(tmp_path: Path, monkeypatch: pyte
         prepare_data_folder(tmp_path)
 
 
-def test_a_folder_for_hints_that_cannot_be_made_is_a_warning(
+def test_an_optional_folder_that_cannot_be_created_is_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "sets").mkdir()
@@ -70,7 +70,7 @@ def test_a_folder_for_hints_that_cannot_be_made_is_a_warning(
     assert (tmp_path / "live").read_text() == "foreign"
 
 
-def test_what_killed_writers_left_goes_and_nothing_else(tmp_path: Path) -> None:
+def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path: Path) -> None:
     prepare_data_folder(tmp_path)
     left = ["heartbeat.tmp", "configuration.tmp", ".write-test-0a", "live/B.tmp"]
     kept = ["configuration.json", "live/B.bin", "sets/set_000001_20240101T010000Z.h5"]
@@ -81,7 +81,7 @@ def test_what_killed_writers_left_goes_and_nothing_else(tmp_path: Path) -> None:
     assert files == set(kept)
 
 
-def test_a_folder_tells_whether_it_is_owned_however_many_ask(tmp_path: Path) -> None:
+def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path: Path) -> None:
     assert is_owned(tmp_path) is False
     with own_data_folder(tmp_path):
         assert [is_owned(tmp_path) for _ in range(3)] == [True] * 3
@@ -93,7 +93,7 @@ def test_a_folder_tells_whether_it_is_owned_however_many_ask(tmp_path: Path) -> 
     assert is_owned(tmp_path) is None
 
 
-def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
+def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path: Path) -> None:
     with own_data_folder(tmp_path):
         pass
     with ExitStack() as asking:
@@ -106,7 +106,7 @@ def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
     closing.join()
 
 
-def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) -> None:
+def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     for _ in range(2):  # gone, then an empty one in its place
         with pytest.raises(FolderGoneError, match="bring back the test"):
@@ -117,15 +117,15 @@ def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) 
     prepare_data_folder(folder, anew=False)
 
 
-def test_whoever_only_looks_is_refused_what_is_not_there_or_not_ours(tmp_path: Path) -> None:
+def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("precious")
-    for name, words in {
+    for name, message in {
         "solimno-data": "there is no data folder",
         "thesis": r"holds 'thesis\.tex'",
         "thesis/thesis.tex": "cannot be read",
     }.items():
-        with pytest.raises(UsageError, match=words) as refusal:
+        with pytest.raises(UsageError, match=message) as refusal:
             refuse_other_folders(tmp_path / name)
         assert refusal.value.exit_code == 2
         assert "--data-dir" in str(refusal.value)
@@ -155,7 +155,7 @@ def test_a_folders_own_configuration_is_a_hint(
     if left is not None:
         config.write_bytes(left)
     with pytest.raises(UsageError):
-        settings_and_folder(config, tmp_path)  # no catalogue that would know better
+        settings_and_folder(config, tmp_path)  # no catalogue with newer values
     with open_catalogue(tmp_path, writer=True) as catalogue:
         catalogue.create_experiment(
             name="test",

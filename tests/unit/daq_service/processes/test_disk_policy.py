@@ -1,4 +1,4 @@
-"""Levels of a volume that fills and is freed, the reserve, and how long the rest lasts."""
+"""Levels of a volume that fills and is freed, the reserve, and the forecast of the free space."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ def level(free_gb, total_gb=100.0, before="ample", **settings):
     ("free_gb", "expected"),
     [(20.0, "ample"), (19.9, "warn"), (10.0, "warn"), (9.9, "alarm"), (5.0, "alarm"), (4.9, "stop")],
 )
-def test_a_level_begins_at_its_part_of_the_volume(free_gb, expected):
+def test_a_level_starts_at_its_fraction_of_the_volume(free_gb, expected):
     assert level(free_gb) == expected
 
 
@@ -34,13 +34,13 @@ def test_a_level_begins_at_its_part_of_the_volume(free_gb, expected):
     ("before", "stays_gb", "leaves_gb", "for_level"),
     [("stop", 5.4, 5.6, "alarm"), ("alarm", 10.9, 11.1, "warn"), ("warn", 21.9, 22.1, "ample")],
 )
-def test_a_level_is_left_a_tenth_above_its_limit(before, stays_gb, leaves_gb, for_level):
+def test_a_level_ends_a_tenth_above_its_limit(before, stays_gb, leaves_gb, for_level):
     assert level(stays_gb, before=before) == before
     assert level(leaves_gb, before=before) == for_level
     assert level(50.0, before=before) == "ample"
 
 
-def test_of_a_large_volume_the_parts_are_those_of_a_smaller_one():
+def test_a_large_volume_has_the_limits_of_a_smaller_one():
     assert [level(free, 10_000.0) for free in (201, 199, 49)] == ["ample", "warn", "stop"]
     assert level(199, 10_000.0, volume_gb=100.0) == "ample"
 
@@ -51,7 +51,7 @@ def test_limits_that_contradict_each_other_are_refused():
 
 
 class Volume:
-    """Free bytes as told, beside a clock that moves by hand."""
+    """Volume with given free bytes and a manual clock."""
 
     def __init__(self):
         self.free, self.now_s = 50 * GB, 0.0
@@ -60,7 +60,7 @@ class Volume:
         return self.free, 100 * GB
 
 
-def test_the_reserve_is_kept_given_back_when_the_disk_is_full_and_made_again(tmp_path):
+def test_the_reserve_is_released_when_the_disk_is_full_and_restored(tmp_path):
     volume, reserve = Volume(), tmp_path / RESERVE_FILE
     disk = DiskWatch(tmp_path, StorageSettings(reserve_mb=2), usage=volume, mono_s=lambda: volume.now_s)
 
@@ -83,7 +83,7 @@ def test_the_reserve_is_kept_given_back_when_the_disk_is_full_and_made_again(tmp
     assert disk.refusal == ""
 
 
-def test_a_disk_that_cannot_be_asked_changes_nothing(tmp_path):
+def test_an_unreadable_disk_state_changes_no_level(tmp_path):
     def gone(folder):
         raise FileNotFoundError(folder)
 
@@ -92,7 +92,7 @@ def test_a_disk_that_cannot_be_asked_changes_nothing(tmp_path):
     assert (disk.space.level, disk.refusal) == ("ample", "")
 
 
-def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
+def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp_path):
     settings = Settings()
     filled = FilledFolder(tmp_path, settings)
     try:
@@ -124,12 +124,12 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
         filled.close()
 
 
-def test_a_full_volume_is_told_before_anything_waits_for_it(tmp_path, monkeypatch):
-    """No alarm can be stored there: `run` and `demo` say it at once."""
-    said = []
+def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
+    """No alarm can be stored there, so `run` and `demo` report it immediately."""
+    messages = []
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
         volume = SimpleNamespace(total=100 * GB, free=free * GB)
         monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
-        report_full_disk(tmp_path, Settings(), said.append)
-        assert [line.partition(", and")[0] for line in said] == expected
-    assert said[0].endswith("free some, the test goes on by itself")
+        report_full_disk(tmp_path, Settings(), messages.append)
+        assert [line.partition(", and")[0] for line in messages] == expected
+    assert messages[0].endswith("free some, the test goes on by itself")

@@ -1,4 +1,4 @@
-"""Executors by name: the same interface and digits, and a killed worker costs its task, not the run."""
+"""Executors by name: same interface and digits; a killed worker costs only its task."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from daq_service.processes import executors
 from daq_service.processes.executors import checked_name, opened_executor, worker_lost
 
 NUMBERS = range(6)
-NOBODY = "dask://127.0.0.1:1"
+SILENT_CLUSTER = "dask://127.0.0.1:1"
 
 
 def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
@@ -30,7 +30,7 @@ def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
         assert executor.submit(math.sqrt, 4.0).result() == 2.0
 
 
-def test_what_has_not_begun_is_dropped_and_an_error_is_the_task_s_own():
+def test_pending_tasks_are_cancelled_and_an_error_belongs_to_its_task():
     with opened_executor("processes", 1) as executor:
         with pytest.raises(ValueError, match="math domain"):
             executor.submit(math.sqrt, -1.0).result()
@@ -40,7 +40,7 @@ def test_what_has_not_begun_is_dropped_and_an_error_is_the_task_s_own():
     assert {future.cancelled() or future.result() >= 0.0 for future in held} == {True}
 
 
-def test_names_of_executors_are_checked_before_anything_is_begun():
+def test_executor_names_are_checked_before_the_start():
     for name in ("processes", "threads", "dask://there", "dask://there:9000"):
         assert checked_name(name, None) == name
     for name in ("process", "dask://", "dask:there", "http://there"):
@@ -50,12 +50,15 @@ def test_names_of_executors_are_checked_before_anything_is_begun():
         checked_name("dask://there", 4)
 
 
-def test_a_cluster_that_does_not_answer_and_a_missing_extra_are_told(monkeypatch):
+def test_a_silent_cluster_and_a_missing_extra_are_reported(monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    with pytest.raises(BusyError, match="no Dask scheduler answers at tcp:"), opened_executor(NOBODY, 1):
+    with (
+        pytest.raises(BusyError, match="no Dask scheduler answers at tcp:"),
+        opened_executor(SILENT_CLUSTER, 1),
+    ):
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match=r"solimon\[cluster\]"), opened_executor(NOBODY, 1):
+    with pytest.raises(UsageError, match=r"solimon\[cluster\]"), opened_executor(SILENT_CLUSTER, 1):
         pass
 
 
@@ -67,9 +70,9 @@ def test_a_cluster_and_processes_have_the_same_digits_and_a_worker_may_be_killed
     tests = Path(__file__).parents[3]
     environment = {**os.environ, "PYTHONPATH": str(tests)}
     done = subprocess.run(command, cwd=tests, env=environment, capture_output=True, text=True, check=True)
-    told = json.loads(done.stdout)
-    assert told["workers"] == 2
-    assert told["died"]
-    assert told["done"] == list(range(6))
-    assert told["sweep"]["cluster"] == told["sweep"]["threads"]
-    assert told["replay"] == [{"sets": 25, "differences": [], "kept": len(RAISED)}] * 2
+    answer = json.loads(done.stdout)
+    assert answer["workers"] == 2
+    assert answer["died"]
+    assert answer["done"] == list(range(6))
+    assert answer["sweep"]["cluster"] == answer["sweep"]["threads"]
+    assert answer["replay"] == [{"sets": 25, "differences": [], "kept": len(RAISED)}] * 2

@@ -25,13 +25,13 @@ class FakeMonotonic:
         self.cost_ns = 0
 
     def __call__(self) -> int:
-        """Tell the time; the next look comes `cost_ns` later."""
+        """Return the time; the next call returns `cost_ns` more."""
         now_ns = self.now_ns
         self.now_ns += self.cost_ns
         return now_ns
 
 
-def test_no_recorder_no_heartbeat(tmp_path: Path) -> None:
+def test_without_a_recorder_there_is_no_heartbeat(tmp_path: Path) -> None:
     assert read_heartbeat(tmp_path) is None
 
 
@@ -51,7 +51,7 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
         ("ours", None, "ours", 900),
     ],
 )
-def test_no_time_is_taken_up_from_another_boot(
+def test_no_time_of_another_boot_is_used(
     tmp_path: Path, written_in: str | None, line: TimeLine | None, boot: str | None, elapsed_ns: int
 ) -> None:
     Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: written_in, time_line=lambda: line).beat("waiting")
@@ -61,7 +61,7 @@ def test_no_time_is_taken_up_from_another_boot(
     assert time_now_ns(beat, boot=lambda: boot, elapsed=lambda: elapsed_ns) is None
 
 
-def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
+def test_a_beat_has_the_activity_and_its_deadline(tmp_path: Path) -> None:
     clock = FakeMonotonic()
     Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock).beat("taking set 3")
     beat = read_heartbeat(tmp_path)
@@ -71,7 +71,7 @@ def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
     assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
-def test_a_long_wait_is_told_when_it_begins_however_dear_a_beat_is(tmp_path: Path) -> None:
+def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path: Path) -> None:
     clock = FakeMonotonic()
     clock.cost_ns = NS_PER_S // 100
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -98,8 +98,8 @@ def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
     assert len(set(seen)) == 4
 
 
-def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -> None:
-    def writes(cost_ns: int) -> int:
+def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: Path) -> None:
+    def count_writes(cost_ns: int) -> int:
         clock = FakeMonotonic()
         heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
         seen = set()
@@ -115,28 +115,28 @@ def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -
             clock.now_ns += 5_000_000
         return len(seen)
 
-    assert writes(cost_ns=0) == 100
+    assert count_writes(cost_ns=0) == 100
     # 0.5 s and the looks at the clock; a beat is followed by 100 ms without another.
-    assert 4 <= writes(cost_ns=1_000_000) <= 7
+    assert 4 <= count_writes(cost_ns=1_000_000) <= 7
 
 
-def test_what_is_begun_after_a_wait_is_told_however_young_the_last_sign_of_life(tmp_path: Path) -> None:
-    """A call that hangs at once must be told by its name."""
+def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path: Path) -> None:
+    """A call that hangs immediately must be identified by its name."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
-    clock.cost_ns = 4_000_000  # of each look at the clock: a slow disk
+    clock.cost_ns = 4_000_000  # for each read of the clock: a slow disk
     for _ in range(3):
         heartbeat.beat("waiting for set 1")
         clock.now_ns += 600_000_000
     heartbeat.beat("waiting for set 1")
     clock.now_ns += 10_000_000
     heartbeat.beat("taking set 1")
-    told = read_heartbeat(tmp_path)
-    assert told is not None
-    assert told.doing == "taking set 1"
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert beat.doing == "taking set 1"
 
 
-def test_nothing_half_written_is_left(tmp_path: Path) -> None:
+def test_no_partial_file_remains(tmp_path: Path) -> None:
     Heartbeat(tmp_path, deadline_s=65.0).beat("waiting")
     assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
 
@@ -145,7 +145,7 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     "text",
     ["", "{", '{"process": 1, "mono_ns": 5', "[]", "null", '{"process": 1}', '{"mono_ns": "x"}', "\x00" * 80],
 )
-def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
+def test_an_invalid_heartbeat_counts_as_none_and_is_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str
 ) -> None:
     (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
@@ -155,13 +155,13 @@ def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
     assert warning.exc_info is None
 
 
-def test_a_file_that_can_be_neither_read_nor_written_is_told_once_and_ends_nothing(
+def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / FILE_NAME).mkdir()
-    clock, told = FakeMonotonic(), []
+    clock, beats = FakeMonotonic(), []
     heartbeat = Heartbeat(
-        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: told.append(beat_of(values))
+        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: beats.append(beat_of(values))
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")
@@ -169,7 +169,7 @@ def test_a_file_that_can_be_neither_read_nor_written_is_told_once_and_ends_nothi
     assert read_heartbeat(tmp_path) is None
     (warning,) = caplog.records
     assert "cannot be written" in warning.getMessage()
-    assert [beat.doing for beat in told] == ["set 0", "set 1", "set 2"]
+    assert [beat.doing for beat in beats] == ["set 0", "set 1", "set 2"]
 
 
 def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
 
 
 def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
-    """No rename meets a reader (Windows), and a full disk has the place already."""
+    """No rename collides with a reader (Windows), and a full disk already has the space."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
     heartbeat.beat("\N{SNOWMAN}" * 10_000)
@@ -198,8 +198,8 @@ def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
     assert beat.doing == "waiting"
 
 
-def test_a_look_that_falls_into_a_write_looks_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every mixture of two beats, up to each byte the newer one, is refused; then the whole one is read."""
+def test_a_read_during_a_write_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every mixture of two beats is rejected; then the complete beat is read."""
     old, new = (
         encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))
         for mono_ns, doing in ((1_999_999_999, "taking set 9"), (2_000_000_000, "taking set 10"))
@@ -207,9 +207,9 @@ def test_a_look_that_falls_into_a_write_looks_again(tmp_path: Path, monkeypatch:
     torn = {new[:size] + old[size:] for size in range(len(new))} - {old, new}
     assert len(torn) > 10
     for mixture in torn:
-        looks = [mixture, new]
+        reads = [mixture, new]
         monkeypatch.setattr(
-            "daq_service.processes.heartbeat.read_hint", lambda path, looks=looks: looks.pop(0)
+            "daq_service.processes.heartbeat.read_hint", lambda path, reads=reads: reads.pop(0)
         )
         beat = read_heartbeat(tmp_path)
         assert beat is not None

@@ -1,4 +1,4 @@
-"""What a process inherits changes no exit code, ends no test and silences nothing: each in a real process."""
+"""Inherited signals, timers and terminals do not affect a process; each test uses a real process."""
 
 import os
 import signal
@@ -26,13 +26,13 @@ from daq_service.processes.printing import end_process, print_line
 """
 
 
-def started(
+def run_python(
     script: str, inherit: Callable[[], object] = lambda: None, **streams: int
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", START + script],
         preexec_fn=inherit,
-        # Else Python has no buffer to flush at its end.
+        # Otherwise Python has no buffer to flush at its end.
         env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         text=True,
         timeout=WAIT_S,
@@ -47,7 +47,7 @@ def close_streams() -> None:
 
 
 def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
-    done = started(
+    done = run_python(
         f"file = open({str(tmp_path / 'set.h5')!r}, 'w')\n"
         "assert file.fileno() > 2\n"
         "print('no data'); print_line('no data'); os.write(2, b'of a library')\n"
@@ -59,8 +59,8 @@ def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
     assert (tmp_path / "set.h5").read_text() == "0\n", "a program that it starts has its streams, too"
 
 
-def test_the_exit_code_of_a_child_is_read_whoever_ignores_its_signal() -> None:
-    done = started(
+def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal() -> None:
+    done = run_python(
         "import subprocess\nchild = subprocess.run([sys.executable, '-c', 'raise SystemExit(7)'])\n"
         "sys.exit(child.returncode)",
         lambda: signal.signal(signal.SIGCHLD, signal.SIG_IGN),
@@ -68,8 +68,8 @@ def test_the_exit_code_of_a_child_is_read_whoever_ignores_its_signal() -> None:
     assert done.returncode == 7
 
 
-def test_a_stop_signal_that_is_blocked_at_the_start_is_heard() -> None:
-    done = started(
+def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
+    done = run_python(
         "os.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(60)",
         lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
     )
@@ -77,10 +77,10 @@ def test_a_stop_signal_that_is_blocked_at_the_start_is_heard() -> None:
 
 
 @pytest.mark.parametrize("timer", ["ITIMER_REAL", "ITIMER_VIRTUAL", "ITIMER_PROF"])
-def test_a_timer_of_whoever_started_it_is_cancelled(timer: str) -> None:
-    """`alarm` and its kind outlive the start of another program, and would end it."""
+def test_a_timer_inherited_from_the_parent_is_cancelled(timer: str) -> None:
+    """Timers such as `alarm` survive the start of another program and would end it."""
     number = getattr(signal, timer)
-    done = started(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
+    done = run_python(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
     assert done.stdout == "0.0\n"
 
 
@@ -89,7 +89,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 100_000))
         resource.setrlimit(resource.RLIMIT_CPU, (60, 3600))
 
-    done = started(
+    done = run_python(
         "import resource\nprint(resource.getrlimit(resource.RLIMIT_FSIZE), "
         "resource.getrlimit(resource.RLIMIT_CPU))",
         limit,
@@ -97,37 +97,37 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
     assert done.stdout == "(100000, 100000) (3600, 3600)\n"
 
 
-def test_what_prints_in_the_background_is_not_stopped_by_its_terminal() -> None:
-    """After `stty tostop` SIGTTOU would stop it."""
-    done = started("print(signal.getsignal(signal.SIGTTOU).name)")
+def test_a_background_process_that_prints_is_not_stopped() -> None:
+    """After `stty tostop` SIGTTOU would stop the process."""
+    done = run_python("print(signal.getsignal(signal.SIGTTOU).name)")
     assert done.stdout == "SIG_IGN\n"
 
 
 @pytest.mark.parametrize(
     ("mask", "expected"), [(0o777, 0o600), (0o000, 0o664), (0o002, 0o664), (0o022, 0o644)]
 )
-def test_its_owner_can_read_what_it_writes_and_strangers_write_nothing(
+def test_files_are_readable_by_their_owner_and_not_writable_by_others(
     mask: int, expected: int, tmp_path: Path
 ) -> None:
     path = tmp_path / "set.h5"
-    assert started(f"open({str(path)!r}, 'w').close()", lambda: os.umask(mask)).returncode == 0
+    assert run_python(f"open({str(path)!r}, 'w').close()", lambda: os.umask(mask)).returncode == 0
     assert path.stat().st_mode & 0o777 == expected
 
 
 def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
-    done = started(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
+    done = run_python(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
     assert (done.returncode, done.stdout) == (0, "D\\xb2 9.1\n\\u2013\n")
 
 
 def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) -> None:
     def leave() -> None:
-        gone = tmp_path / "gone"
-        gone.mkdir()
-        os.chdir(gone)
-        gone.rmdir()
+        missing_folder = tmp_path / "gone"
+        missing_folder.mkdir()
+        os.chdir(missing_folder)
+        missing_folder.rmdir()
 
-    done = started("print(os.getcwd())", leave)
+    done = run_python("print(os.getcwd())", leave)
     assert (done.returncode, done.stdout) == (0, "/\n")
 
 
@@ -138,14 +138,14 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     process = start_process([*PROGRAM, "run", "--help"], {})
-    said, _ = process.communicate()
-    assert (process.returncode, said[:6]) == (0, b"Usage:")
+    output, _ = process.communicate()
+    assert (process.returncode, output[:6]) == (0, b"Usage:")
 
 
 @pytest.mark.parametrize("code", [0, 3])
 def test_a_full_disk_below_the_streams_changes_no_exit_code(code: int) -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
-        done = started(
+        done = run_python(
             f"print_line('a line'); print_line('a line', err=False); end_process({code}); sys.exit({code})",
             stdout=full.fileno(),
             stderr=full.fileno(),
@@ -165,17 +165,17 @@ sys.exit(3)
 
 
 @pytest.mark.parametrize("script", ["print_line('a line ' * 100_000)\nend_process(3)\nsys.exit(3)", NEWS])
-def test_a_held_terminal_delays_no_end(script: str) -> None:
-    """Ctrl-S, or a reader that has stopped: the pipe takes a part of it."""
+def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
+    """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
-        assert started(script, stderr=writer).returncode == 3
+        assert run_python(script, stderr=writer).returncode == 3
     finally:
         os.close(reader)
         os.close(writer)
 
 
-def test_an_inspecting_interpreter_ends_as_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_inspect_does_not_change_the_exit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONINSPECT", "1")
-    done = started("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
+    done = run_python("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "")

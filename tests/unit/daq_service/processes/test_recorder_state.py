@@ -1,4 +1,4 @@
-"""How the recorder is: one answer, also after a reboot and with a heartbeat that a power cut tore."""
+"""State of the recorder on each surface, also after a reboot and with a torn heartbeat."""
 
 import json
 import os
@@ -45,7 +45,7 @@ LATE = "last sign of life 66 s ago while waiting"
 @pytest.mark.parametrize(
     ("owned", "found", "word", "description"),
     [
-        # The lock alone says who runs, the heartbeat whether it moves.
+        # The lock shows whether a recorder runs, the heartbeat whether it makes progress.
         (True, beat(65.0), "running", "running, waiting"),
         (True, beat(66.0), "silent", f"not answering: {LATE}"),
         (True, None, "running", "running; no heartbeat of it can be read yet"),
@@ -53,12 +53,12 @@ LATE = "last sign of life 66 s ago while waiting"
         (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
         (False, beat(66.0), "silent", f"not running: {LATE}"),
         (False, beat(1.0, boot="another boot"), "silent", REBOOTED),
-        # Nobody can tell who holds the lock: the heartbeat decides.
+        # The owner of the lock is unknown: the heartbeat decides.
         (None, beat(65.0), "running", "running, waiting"),
         (None, beat(66.0), "silent", f"not running: {LATE}"),
         (None, beat(1.0, boot="another boot"), "silent", REBOOTED),
         (None, beat(-1.0, boot="another boot"), "silent", REBOOTED),
-        # An older version, or a system that names no boot: only a time ahead tells.
+        # An older version, or a system without boot names: only a time in the future shows it.
         (None, beat(1.0, boot=None), "running", "running, waiting"),
         (None, beat(-1.0, boot=None), "silent", REBOOTED),
     ],
@@ -66,7 +66,7 @@ LATE = "last sign of life 66 s ago while waiting"
 @pytest.mark.parametrize(
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
-def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
+def test_a_recorder_state_follows_from_lock_and_heartbeat(
     owned: bool | None, found: Beat | None, word: Word, description: str, kinds: list[str]
 ) -> None:
     state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
@@ -84,7 +84,7 @@ def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
         (["recorder_stopped", "recorder_started", "set_done"], "silent", GONE),
     ],
 )
-def test_without_a_heartbeat_the_catalogue_tells_whether_anybody_ever_recorded(
+def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
     owned: bool | None, kinds: list[str], word: Word, description: str
 ) -> None:
     state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
@@ -92,17 +92,17 @@ def test_without_a_heartbeat_the_catalogue_tells_whether_anybody_ever_recorded(
 
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
-def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
-    """The lock says that somebody runs, and whoever runs has not said farewell: it waits for its rig, say."""
+def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -> None:
+    """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
     def state(found: Beat | None) -> tuple[Word, str, bool]:
-        told = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
-        return told.word, told.description, told.listens
+        result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
+        return result.word, result.description, result.listens
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
     assert state(None) == ("running", "running; no heartbeat of it can be read yet", True)
-    # The last beat of the recorder of an earlier boot is none of the one that has the lock now.
+    # The last beat of an earlier boot is not of the recorder that has the lock now.
     after = state(beat(1.0, stage="ended", boot="another boot"))
     assert after == ("running", "running, starting", True)
 
@@ -116,20 +116,20 @@ def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
         (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
 )
-def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
+def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
     kinds: list[str], word: Word, listens: bool
 ) -> None:
-    left = beat(1.0, stage="ended")
-    state = recorder_state(left, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
+    last_beat = beat(1.0, stage="ended")
+    state = recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.word, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
     late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
-    gone = recorder_state(left, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
-    assert [(one.word, one.listens) for one in (late, gone)] == [(word, False)] * 2
+    gone = recorder_state(last_beat, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
+    assert [(item.word, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
-def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
+def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
     def age(found: Beat) -> float | None:
         return recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
 
@@ -146,7 +146,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 def stored_set(catalogue: RecorderCatalogue) -> None:
-    """A gap: before the first row the web has nothing to tell."""
+    """Store a gap: before the first row the web has no data."""
     gap = SetRow(
         set_index=0,
         position="B",
@@ -165,7 +165,7 @@ def as_text(found: Beat) -> str:
 
 
 def after_a_reboot() -> str:
-    """The last beat lies ahead: this boot is younger than the one before was."""
+    """Return a beat of the future: this boot is younger than the one before was."""
     return as_text(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting", boot="another boot"))
 
 
@@ -175,7 +175,7 @@ def after_a_reboot_of_an_older_version() -> str:
 
 
 def after_a_short_boot() -> str:
-    """The last beat lies in the past of this boot, too."""
+    """Return a beat of the past of this boot."""
     now_ns = time.monotonic_ns()
     return as_text(Beat(process=1, mono_ns=now_ns, deadline_s=65.0, doing="waiting", boot="another boot"))
 
@@ -193,13 +193,15 @@ def foreign() -> str:
 
 
 @pytest.mark.parametrize(
-    "left",
+    "last_beat",
     [after_a_reboot, after_a_reboot_of_an_older_version, after_a_short_boot, empty, torn, foreign],
 )
-def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Callable[[], str]) -> None:
-    if left is after_a_short_boot and boot_name() is None:
+def test_status_commands_and_web_agree_that_no_recorder_runs(
+    folder: Path, last_beat: Callable[[], str]
+) -> None:
+    if last_beat is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
-    (folder / FILE_NAME).write_text(left(), encoding="utf-8")
+    (folder / FILE_NAME).write_text(last_beat(), encoding="utf-8")
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
@@ -215,8 +217,8 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     assert health["recorder"]["beat_age_s"] is None
 
 
-def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder: Path) -> None:
-    told = ["recorder_stopped"]
+def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> None:
+    kinds = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
     def look(process: int) -> tuple[Word, str]:
@@ -224,7 +226,7 @@ def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
         (folder / FILE_NAME).write_bytes(encoded(last))
-        state = look_at_recorder(folder, told)
+        state = look_at_recorder(folder, kinds)
         return state.word, state.description
 
     with own_data_folder(folder):
@@ -233,7 +235,7 @@ def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows renames no folder in which files are open")
-def test_of_a_folder_that_was_moved_away_nobody_claims_to_know_its_recorder(folder: Path) -> None:
+def test_the_recorder_of_a_moved_folder_is_silent(folder: Path) -> None:
     context = Context(Settings(), folder)
     context.catalogue()
     folder.rename(folder.with_name("elsewhere"))

@@ -1,4 +1,4 @@
-"""A process that is left notices a recorder that fails again and again, or does not run at all."""
+"""Another process detects a recorder that fails repeatedly or does not run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SETTINGS = Settings(
 
 
 class Bench:
-    """A test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
+    """Test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.catalogue = new_catalogue(folder)
@@ -46,7 +46,7 @@ class Bench:
         )
 
     def store(self) -> None:
-        """Store the planned set that ended at this hour."""
+        """Store the scheduled set that ended at this hour."""
         self.n_sets += 1
         row = SetRow(
             set_index=self.n_sets,
@@ -62,7 +62,7 @@ class Bench:
         self.catalogue.commit_set(SetCommit(sets=[row]))
 
     def run(self, hours: float, *, restarts_every_h: float = 1e9) -> None:
-        """Let time pass; the recorder is another process at each restart."""
+        """Advance the time; the recorder is another process after each restart."""
         end_h, restart_h = self.hour + hours, self.hour + restarts_every_h
         while self.hour < end_h:
             self.watch.look()
@@ -72,7 +72,7 @@ class Bench:
         self.watch.look()
 
     def alarms(self) -> list[tuple[str, str]]:
-        """Kind of each event of the alarm, and its evidence."""
+        """Return the kind of each event of the alarm, and its evidence."""
         rows = self.catalogue.rows(EventRow, topic="alarms")
         return [(row.kind, row.payload["message"].split(". ")[1].partition(" (")[0]) for row in rows]
 
@@ -87,7 +87,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 RESTARTS, NO_SET = "3 restarts in 10 min", "No planned set stored for 2 intervals"
 
 
-def test_three_restarts_in_ten_minutes_raise_it_once_and_a_stored_set_clears_it(bench: Bench) -> None:
+def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench: Bench) -> None:
     bench.store()
     bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == [("alarm_raised", RESTARTS)]
@@ -100,17 +100,17 @@ def test_three_restarts_in_ten_minutes_raise_it_once_and_a_stored_set_clears_it(
     assert [kind for kind, _ in bench.alarms()] == ["alarm_raised", "alarm_cleared"]
 
 
-def test_restarts_that_are_rare_or_ordered_raise_nothing(bench: Bench) -> None:
+def test_rare_or_commanded_restarts_raise_no_alarm(bench: Bench) -> None:
     bench.store()
     bench.run(0.5, restarts_every_h=2.0 * LOOK_EVERY_H)
     bench.store()
-    bench.stage = "ended"  # each of them took leave
+    bench.stage = "ended"  # each of them ended in order
     bench.run(0.5, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == []
 
 
-def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(bench: Bench) -> None:
-    """The plug-in's driver raises at the first shot of each set: one restart per interval."""
+def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
+    """The plug-in driver raises at the first shot of each set: one restart per interval."""
     bench.hour = 2.1
     bench.store()
     bench.run(2.0, restarts_every_h=INTERVAL_H)
@@ -119,16 +119,16 @@ def test_a_recorder_that_fails_at_each_set_is_noticed_though_it_runs_in_between(
     assert row.raised_h == pytest.approx(2.1 + MOST_INTERVALS * INTERVAL_H, abs=2.0 * LOOK_EVERY_H)
 
 
-@pytest.mark.parametrize("word", ["silent", "stopped", "absent"])
-def test_a_recorder_that_does_not_run_is_noticed(bench: Bench, word: Word) -> None:
+@pytest.mark.parametrize("state", ["silent", "stopped", "absent"])
+def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: Word) -> None:
     bench.hour = 2.1
     bench.store()
-    bench.word = word
+    bench.word = state
     bench.run(1.5)
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 
 
-def test_after_a_start_of_the_computer_it_has_time_to_come(bench: Bench) -> None:
+def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.hour = 0.1
     bench.store()
     bench.word, bench.hour = "silent", 9.0
@@ -169,7 +169,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
     assert bench.alarms() == []
 
 
-def test_a_recorder_that_lives_has_its_own_alarms_for_what_it_waits_for(bench: Bench) -> None:
+def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
     bench.run(3.0)
     bench.word = "silent"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)

@@ -1,4 +1,4 @@
-"""The supervisor's rules on a clock that passes by hand, with children that only say what they would do."""
+"""The rules of the supervisor on a manual clock with scripted children."""
 
 import io
 import json
@@ -29,8 +29,8 @@ RECORDER = ChildPlan(name="recorder", arguments=["record", "{cause}"], watched=T
 WEB = ChildPlan(name="web", arguments=["serve"])
 
 
-class Life:
-    """A process: when it ends and how, what it prints, and how long it takes to leave."""
+class ScriptedChild:
+    """Process double: time and code of its end, output, and time to leave."""
 
     def __init__(
         self,
@@ -52,11 +52,13 @@ class Life:
 class World:
     """Time, starts and heartbeats; ends everything at ``until_s``."""
 
-    def __init__(self, *lives: Life, plans: Sequence[ChildPlan] = (RECORDER,), until_s: float = 1e4) -> None:
+    def __init__(
+        self, *lives: ScriptedChild, plans: Sequence[ChildPlan] = (RECORDER,), until_s: float = 1e4
+    ) -> None:
         self.now_s, self.until_s = 0.0, until_s
         self.lives = list(lives)
         self.started: list[tuple[float, list[str], Mapping[str, str]]] = []
-        self.running: list[Life] = []
+        self.running: list[ScriptedChild] = []
         self.messages: list[tuple[str, Any]] = []
         self.beat: Callable[[], Beat | None] = lambda: None
         self.guarded_s: list[float] = []
@@ -76,7 +78,7 @@ class World:
         )
         return supervisor.run(cast(threading.Event, self), stay=stay)
 
-    # As the event that tells the supervisor to stop: waiting for it lets time pass.
+    # The stop event of the supervisor: a wait for it advances the time.
     def is_set(self) -> bool:
         return self.now_s >= self.until_s
 
@@ -86,7 +88,7 @@ class World:
 
     def _start(self, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
         self.started.append((self.now_s, list(command), environment))
-        life = self.lives.pop(0) if self.lives else Life()
+        life = self.lives.pop(0) if self.lives else ScriptedChild()
         process = _Process(self, life)
         self.running.append(life)
         return cast("subprocess.Popen[bytes]", process)
@@ -99,9 +101,9 @@ class World:
 
 
 class _Process:
-    """What a `Popen` is to the supervisor."""
+    """`Popen` double of the supervisor."""
 
-    def __init__(self, world: World, life: Life) -> None:
+    def __init__(self, world: World, life: ScriptedChild) -> None:
         self._world, self._life = world, life
         self.stdin, self.stdout, self.pid = life.stdin, life.stdout, 4711
         self.stderr = io.BytesIO()
@@ -142,16 +144,16 @@ def beat_at(world: World, mono_s: float, *, boot: str | None = None, deadline_s:
 
 
 def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> None:
-    assert World(Life(0)).run() == 0
-    world = World(Life(0), Life(), plans=(RECORDER, WEB), until_s=100.0)
+    assert World(ScriptedChild(0)).run() == 0
+    world = World(ScriptedChild(0), ScriptedChild(), plans=(RECORDER, WEB), until_s=100.0)
     assert world.run(stay=True) == 0
     assert world.now_s >= 100.0
     assert len(world.started) == 2
 
 
-def test_a_recorder_that_was_told_to_stop_stays_stopped() -> None:
-    """Exit code 130 is an operator's order: a restart would strike on against it."""
-    world = World(Life(130))
+def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
+    """Exit code 130 is a command of the operator: a restart would strike against it."""
+    world = World(ScriptedChild(130))
     assert world.run() == 130
     assert len(world.started) == 1
     assert world.messages == [("recorder", {"event": "stopped"})]
@@ -160,8 +162,10 @@ def test_a_recorder_that_was_told_to_stop_stays_stopped() -> None:
 @pytest.mark.parametrize("code", [0, 2, 3, 4, 5, 130])
 @pytest.mark.parametrize("plan", [RECORDER, WEB])
 def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: int) -> None:
-    """A driver or a vendor's library ended the process: it knows nothing of the test."""
-    world = World(Life(code, after_s=1.0, announces=False), Life(), plans=(plan,), until_s=10.0)
+    """A driver or vendor library ended the process and does not know the exit codes."""
+    world = World(
+        ScriptedChild(code, after_s=1.0, announces=False), ScriptedChild(), plans=(plan,), until_s=10.0
+    )
     assert world.run(stay=True) == 0
     assert len(world.started) == 2
     cause = {"cause": f"ended with exit code {code}, which it had not announced", "in_s": RESTART_DELAYS_S[0]}
@@ -170,30 +174,30 @@ def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: i
 
 def test_an_announced_code_counts_also_where_a_library_ends_the_process_afterwards() -> None:
     ended = json.dumps({"event": ANNOUNCEMENT, "code": 3})
-    assert World(Life(-11, says=[ended])).run() == 3
-    assert World(Life(0, says=[ended], announces=False)).run() == 3
+    assert World(ScriptedChild(-11, says=[ended])).run() == 3
+    assert World(ScriptedChild(0, says=[ended], announces=False)).run() == 3
 
 
 @pytest.mark.parametrize("code", [2, 3, 4, 5])
-def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> None:
-    web = Life()
-    world = World(Life(code, after_s=1.0), web, plans=(RECORDER, WEB))
+def test_a_documented_exit_code_stops_all_processes_and_is_passed_on(code: int) -> None:
+    web = ScriptedChild()
+    world = World(ScriptedChild(code, after_s=1.0), web, plans=(RECORDER, WEB))
     assert world.run(stay=True) == code
     assert len(world.started) == 2
     assert web.stdin.closed
 
 
-def test_a_test_that_has_begun_is_served_on_whatever_ends_its_recorder() -> None:
-    """An engineer wants to see why it ended; the code is passed on when the dashboard is stopped."""
-    said = json.dumps({"event": "progress", "done": 1})
-    recorder = Life(4, after_s=1.0, says=[said])
-    world = World(recorder, Life(), plans=(RECORDER, WEB), until_s=100.0)
+def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
+    """An engineer wants to see the reason; the code is passed on when the dashboard is stopped."""
+    line = json.dumps({"event": "progress", "done": 1})
+    recorder = ScriptedChild(4, after_s=1.0, says=[line])
+    world = World(recorder, ScriptedChild(), plans=(RECORDER, WEB), until_s=100.0)
     waiting, patience = world.wait, threading.Event()
 
     def wait(seconds: float) -> bool:
         if world.messages:
             return waiting(seconds)
-        patience.wait(0.001)  # time stands still until the line is heard
+        patience.wait(0.001)  # the time does not advance until the line is received
         return False
 
     world.wait = wait  # type: ignore[method-assign]
@@ -206,17 +210,23 @@ def test_a_test_that_has_begun_is_served_on_whatever_ends_its_recorder() -> None
 
 
 def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
-    world = World(*(Life(1) for _ in range(9)), until_s=120.0)
+    world = World(*(ScriptedChild(1) for _ in range(9)), until_s=120.0)
     world.run()
     pauses = [b - a for a, b in zip(world.starts_s(), world.starts_s()[1:], strict=False)]
     expected = [*RESTART_DELAYS_S, RESTART_DELAYS_S[-1], RESTART_DELAYS_S[-1]]
-    # The end is seen one look (0.05 s) after the start, the restart at the first look after the delay.
+    # The end is detected one poll (0.05 s) after the start, the restart at the first poll after the delay.
     assert pauses == pytest.approx([0.05 + delay_s for delay_s in expected], abs=0.051)
     assert world.causes()[:2] == ["", "ended with exit code 1"]
 
 
 def test_a_child_that_lived_well_starts_again_at_the_first_delay() -> None:
-    world = World(Life(1), Life(1), Life(1, after_s=HEALTHY_AFTER_S), Life(), until_s=100.0)
+    world = World(
+        ScriptedChild(1),
+        ScriptedChild(1),
+        ScriptedChild(1, after_s=HEALTHY_AFTER_S),
+        ScriptedChild(),
+        until_s=100.0,
+    )
     world.beat = lambda: beat_at(world, world.now_s)
     world.run()
     started = world.starts_s()
@@ -225,48 +235,48 @@ def test_a_child_that_lived_well_starts_again_at_the_first_delay() -> None:
 
 
 def test_a_child_that_always_crashes_is_given_up() -> None:
-    world = World(*(Life(1) for _ in range(20)))
+    world = World(*(ScriptedChild(1) for _ in range(20)))
     assert world.run(give_up=True) == 1
     assert len(world.started) == 1 + len(RESTART_DELAYS_S)
 
 
 def test_a_child_gets_its_environment_and_the_cause_of_its_restart() -> None:
-    world = World(Life(-15), Life(0))
+    world = World(ScriptedChild(-15), ScriptedChild(0))
     world.run()
     assert world.started[0][1:] == (["solimon", "record", ""], {"A": "1"})
     assert world.causes()[1] == "was killed by signal 15"
 
 
 def test_a_recorder_is_killed_at_its_deadline() -> None:
-    hung = Life()
-    world = World(hung, Life(0))
+    hung = ScriptedChild()
+    world = World(hung, ScriptedChild(0))
     world.beat = lambda: beat_at(world, min(world.now_s, 20.0))
     world.run()
-    assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next look after the deadline
+    assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next poll after the deadline
     assert world.causes()[1].startswith("hung while taking set 3: heartbeat 0.")
     assert world.causes()[1].endswith("s past its deadline of 5 s")
 
 
 def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
-    """A disk that takes nothing must not cost the recorder its life."""
-    alive = Life()
-    world = World(alive, Life(0))
+    """A full disk must not cause a restart of the recorder."""
+    alive = ScriptedChild()
+    world = World(alive, ScriptedChild(0))
     beat = beat_at(world, STARTING_GRACE_S / 2, deadline_s=100.0)
-    told = {"event": "beat", **asdict(beat)}
-    alive.stdout = io.BytesIO(2 * (json.dumps(told).encode() + b"\n"))
+    message = {"event": "beat", **asdict(beat)}
+    alive.stdout = io.BytesIO(2 * (json.dumps(message).encode() + b"\n"))
     world.run()
     assert alive.killed_s == pytest.approx(STARTING_GRACE_S / 2 + 100.0, abs=0.101)
     restarts = {"event": "restarts", "cause": world.causes()[1], "in_s": 0.2}
-    assert world.messages == [("recorder", told), ("recorder", restarts)], "of two beats alike one is news"
+    assert world.messages == [("recorder", message), ("recorder", restarts)], "of two beats alike one is news"
 
 
 def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
-    """It has beaten once, and stops to: its event loop hangs, or somebody stopped its process."""
-    stalled = Life()
-    world = World(stalled, Life(), plans=(WEB,), until_s=60.0)
-    told = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
-    stalled.stdout = io.BytesIO(json.dumps(told).encode() + b"\n")
-    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file says nothing of another process
+    """It has sent one beat and no other: its event loop hangs, or its process is stopped."""
+    stalled = ScriptedChild()
+    world = World(stalled, ScriptedChild(), plans=(WEB,), until_s=60.0)
+    message = {"event": "beat", **asdict(beat_at(world, 1.0, deadline_s=15.0))}
+    stalled.stdout = io.BytesIO(json.dumps(message).encode() + b"\n")
+    world.beat = lambda: beat_at(world, world.now_s)  # the recorder's file does not count for another process
     world.run(stay=True)
     assert stalled.killed_s == pytest.approx(16.0, abs=0.101)
     assert len(world.started) == 2
@@ -274,26 +284,26 @@ def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
 
 
 def test_a_recorder_that_beats_is_left_alone() -> None:
-    world = World(Life(0, after_s=500.0))
+    world = World(ScriptedChild(0, after_s=500.0))
     world.beat = lambda: beat_at(world, 4.0 * (world.now_s // 4.0))
     assert world.run() == 0
     assert len(world.started) == 1
 
 
-def test_a_beat_that_cannot_be_read_for_a_moment_takes_nothing_from_the_one_before() -> None:
-    world = World(Life(0, after_s=STARTING_GRACE_S + 20.0))
+def test_an_unreadable_beat_does_not_replace_the_previous_one() -> None:
+    world = World(ScriptedChild(0, after_s=STARTING_GRACE_S + 20.0))
     world.beat = lambda: None if round(world.now_s / 0.05) % 3 else beat_at(world, world.now_s)
     assert world.run() == 0
     assert len(world.started) == 1
 
 
 def stale(world: World) -> Beat:
-    """Left by the recorder before this one."""
+    """Return the beat of the previous recorder."""
     return beat_at(world, -100.0)
 
 
 def earlier_boot(world: World) -> Beat:
-    """Ahead of this boot's monotonic time, and written by the same process number."""
+    """Return a beat ahead of this boot's monotonic time, with the same process number."""
     return beat_at(world, 1e6, boot="another")
 
 
@@ -309,16 +319,16 @@ def no_beat(world: World) -> None:
 def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(
     found: Callable[[World], Beat | None],
 ) -> None:
-    silent = Life()
-    world = World(silent, Life(0))
+    silent = ScriptedChild()
+    world = World(silent, ScriptedChild(0))
     world.beat = lambda: found(world)
     world.run()
     assert silent.killed_s == pytest.approx(STARTING_GRACE_S, abs=0.101)
     assert world.causes()[1] == f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start"
 
 
-def test_children_are_told_to_leave_together_and_killed_after_their_time() -> None:
-    good, bad = Life(leaves_after_s=1.0), Life(leaves_after_s=None)
+def test_children_are_stopped_together_and_killed_after_their_time_limit() -> None:
+    good, bad = ScriptedChild(leaves_after_s=1.0), ScriptedChild(leaves_after_s=None)
     world = World(good, bad, plans=(RECORDER, WEB), until_s=10.0)
     assert world.run(stay=True) == 0
     assert good.killed_s is None
@@ -329,7 +339,7 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     says = [json.dumps({"event": "progress", "done": 1}), "hello", json.dumps({"event": "finished"})]
-    world = World(Life(0, says=says))
+    world = World(ScriptedChild(0, says=says))
     world.run()
     assert world.messages == [
         ("recorder", {"event": "progress", "done": 1}),
@@ -342,8 +352,8 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
 def test_a_web_service_that_has_listened_is_started_again_at_its_port(code: int) -> None:
     says = [json.dumps({"event": "listening", "url": "http://127.0.0.1:4711/", "port": 4711})]
     # It ends after its line is read, however late its reader comes to it.
-    first = Life(None, says=says)
-    world = World(first, Life(), plans=(WEB,), until_s=10.0)
+    first = ScriptedChild(None, says=says)
+    world = World(first, ScriptedChild(), plans=(WEB,), until_s=10.0)
 
     def ends_once_heard() -> None:
         if world.messages and first.code is None:
@@ -359,6 +369,6 @@ def test_a_web_service_that_has_listened_is_started_again_at_its_port(code: int)
             return False
         return waiting(seconds)
 
-    world.wait = wait  # type: ignore[method-assign] # time stands still until the line is heard
+    world.wait = wait  # type: ignore[method-assign] # the time does not advance until the line is received
     world.run(stay=True)
     assert world.started[1][1] == ["solimon", "serve", "--port", "4711"]

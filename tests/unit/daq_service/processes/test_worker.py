@@ -1,4 +1,4 @@
-"""A worker process that dies is missed, whatever it was at."""
+"""The end of a worker process is detected at any time."""
 
 import sys
 from concurrent.futures.process import BrokenProcessPool
@@ -12,8 +12,8 @@ from daq_service.processes.worker import one_worker
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 
 
-def test_a_worker_that_dies_in_the_midst_of_its_answer_is_missed():
-    """Its pool reads on for the rest of it, and must not for ever."""
+def test_a_worker_that_ends_during_its_answer_is_detected():
+    """Its pool waits for the rest of the answer and must not wait forever."""
     executor = one_worker()
     answer = executor.submit(die_while_answering)
     assert isinstance(answer.exception(WAIT_S), BrokenProcessPool)

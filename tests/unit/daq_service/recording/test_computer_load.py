@@ -1,4 +1,4 @@
-"""What a test costs its computer is kept with each set that was taken, and comes again with the history."""
+"""Each taken set has a reading of the computer's load, which a rebuild restores from the history."""
 
 import sys
 from contextlib import ExitStack
@@ -23,7 +23,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError
 
 NOW_NS = 1_800_000_000_000_000_000
 SPACE = DiskSpace(free_bytes=3, total_bytes=4, level="ample")
-told_by_the_system = pytest.mark.skipif(
+needs_readable_memory = pytest.mark.skipif(
     sys.platform not in ("linux", "win32"), reason="this system tells neither memory nor handles"
 )
 
@@ -33,7 +33,7 @@ def watch(clock=None, space=SPACE, **changes):
     return ComputerLoadWatch(clock or SimulatedClock(NOW_NS), **options)
 
 
-@told_by_the_system
+@needs_readable_memory
 def test_files_that_are_opened_are_counted(tmp_path):
     before = own_use.open_handles()
     with ExitStack() as stack:
@@ -42,60 +42,60 @@ def test_files_that_are_opened_are_counted(tmp_path):
         assert own_use.open_handles() == before + 5
 
 
-@told_by_the_system
+@needs_readable_memory
 def test_memory_that_is_written_is_counted():
     n_bytes = 64 * 2**20
     before = own_use.resident_bytes()
-    held = np.ones(n_bytes, dtype=np.uint8)
+    array = np.ones(n_bytes, dtype=np.uint8)
     # Freed pages of what was there may be used again: never so many.
     assert own_use.resident_bytes() - before > n_bytes // 2
-    assert held.any()
+    assert array.any()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows is asked in another way")
-def test_where_the_system_does_not_tell_it_is_unknown_and_not_nothing(tmp_path, monkeypatch):
+def test_values_not_provided_by_the_system_are_none(tmp_path, monkeypatch):
     monkeypatch.setattr(own_use, "_PROC", tmp_path / "not mounted")
     assert (own_use.resident_bytes(), own_use.open_handles()) == (None, None)
     before_a_look = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
-    told = watch(space=before_a_look).read(Cost())
-    unknown = {name for name, value in told.items() if value is None}
+    reading = watch(space=before_a_look).read(Cost())
+    unknown = {name for name, value in reading.items() if value is None}
     assert unknown == {
         *("resident_bytes", "open_handles", "free_bytes", "total_bytes"),
         *("clock_ahead_s", "clock_synchronised"),  # simulated time
     }
 
 
-def test_stages_are_told_since_the_reading_before():
-    cost, its = Cost(), watch()
+def test_stage_times_count_since_the_previous_reading():
+    cost, watched = Cost(), watch()
     cost.seconds["judge_s"] = 1.5
-    assert its.read(cost)["stage_s"]["judge_s"] == 1.5
+    assert watched.read(cost)["stage_s"]["judge_s"] == 1.5
     cost.seconds["judge_s"] = 1.75
-    told = its.read(cost)
-    assert (told["stage_s"]["judge_s"], told["stage_s"]["fsync_s"]) == (0.25, 0.0)
-    assert (told["free_bytes"], told["total_bytes"], told["files_read"]) == (3, 4, 7)
+    reading = watched.read(cost)
+    assert (reading["stage_s"]["judge_s"], reading["stage_s"]["fsync_s"]) == (0.25, 0.0)
+    assert (reading["free_bytes"], reading["total_bytes"], reading["files_read"]) == (3, 4, 7)
 
 
 def test_a_step_of_the_computer_s_clock_is_how_far_it_is_ahead_from_then_on():
     machine = Machine(NOW_NS)
-    its = watch(machine.clock(None), system_ns=lambda: machine.utc_ns)
-    assert its.read(Cost())["clock_ahead_s"] == 0.0
+    watched = watch(machine.clock(None), system_ns=lambda: machine.utc_ns)
+    assert watched.read(Cost())["clock_ahead_s"] == 0.0
     machine.set_clock(1.0)
-    assert its.read(Cost())["clock_ahead_s"] == 3600.0
+    assert watched.read(Cost())["clock_ahead_s"] == 3600.0
 
 
-def test_each_set_that_was_taken_has_one_reading_and_a_missed_one_none(tmp_path):
+def test_each_taken_set_has_one_reading_and_a_missed_one_has_none(tmp_path):
     def script(key):
         return AcquisitionTimeoutError("nothing triggered") if key.set_index == 3 else healthy(key)
 
     line = Line(tmp_path, script=script)
     assert line.run(machine=watch())
-    told = [row for row in line.rows("events") if row.topic == "machine"]
-    assert [row.set_index for row in told] == [index for index in range(SETS) if index != 3]
-    assert {row.kind for row in told} == {MACHINE_READ}
-    assert len({row.payload["recorder_wall_utc_ns"] for row in told}) == 1
+    events = [row for row in line.rows("events") if row.topic == "machine"]
+    assert [row.set_index for row in events] == [index for index in range(SETS) if index != 3]
+    assert {row.kind for row in events} == {MACHINE_READ}
+    assert len({row.payload["recorder_wall_utc_ns"] for row in events}) == 1
 
 
-def test_a_catalogue_that_is_made_again_has_every_reading_as_it_was(tmp_path):
+def test_a_rebuilt_catalogue_has_every_reading(tmp_path):
     folder = lay_out(tmp_path / "data")
 
     def kept():

@@ -1,4 +1,4 @@
-"""Suspicion asks for a set beside the plan: it is struck at once, judged, told, and changes nothing else."""
+"""An outlier causes an unscheduled set: taken at once, assessed, reported, and without other effects."""
 
 import threading
 from dataclasses import replace
@@ -25,7 +25,7 @@ AFTER_FIRST, AFTER_THIRD = PLANNED_SETS + FIRST, PLANNED_SETS + FIRST + 2
 
 
 def settings(schedule=None, baseline=None, **alarms):
-    """Settings of a test whose baseline is just long enough."""
+    """Return the settings of a test with the shortest possible baseline."""
     return memory_settings(
         schedule=schedule or {"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15} | (baseline or {}),
@@ -33,14 +33,14 @@ def settings(schedule=None, baseline=None, **alarms):
     )
 
 
-def sick(*sets, position="B", shift=1.0):
-    """A script in which a transducer is sick in some planned sets and what is struck after them."""
+def deviating(*sets, position="B", shift=1.0):
+    """Return a script in which a transducer deviates in some scheduled sets and their confirmation sets."""
     return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
 
 
 def with_incident_wave(key):
-    """Let causes be told: the same with an incident wave, which stays healthy."""
-    found = sick(*range(FIRST, SETS))(key)
+    """Return the same shot with a healthy incident wave, so that a diagnosis is possible."""
+    found = deviating(*range(FIRST, SETS))(key)
     noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index, 1]).standard_normal(2)
     height_v, width_s = 0.5 * (1.0 + 0.01 * noise[0]), 65e-6 * (1.0 + 0.01 * noise[1])
     return replace(found, isw_amplitude_v=float(height_v), isw_fwhm_s=float(width_s))
@@ -50,11 +50,11 @@ def with_incident_wave(key):
 def line(tmp_path):
     folder = tmp_path / "data"
     folder.mkdir()
-    return Line(folder, settings(), sick(*range(FIRST, SETS)))
+    return Line(folder, settings(), deviating(*range(FIRST, SETS)))
 
 
-def ordered_at(line, place, kind, **arguments):
-    """Give an order once, when a shot is read."""
+def send_at(line, place, kind, **arguments):
+    """Send a command once, when a shot is read."""
     script, left = line.script, [place]
 
     def ordering(key):
@@ -66,7 +66,7 @@ def ordered_at(line, place, kind, **arguments):
     line.script, line.listen_every_s = ordering, 0.0
 
 
-def beside(line, kind=SetRow):
+def confirmation_rows(line, kind=SetRow):
     with line.catalogue() as catalogue:
         return catalogue.rows(kind, purpose="confirmation")
 
@@ -77,16 +77,16 @@ def the_alarm(line):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A test that nothing disturbed; only read."""
-    one = Line(tmp_path_factory.mktemp("whole"), settings(), sick(*range(FIRST, SETS)))
+def undisturbed(tmp_path_factory):
+    """Return an undisturbed test; read-only."""
+    one = Line(tmp_path_factory.mktemp("whole"), settings(), deviating(*range(FIRST, SETS)))
     assert one.run()
     return one
 
 
-def test_suspicion_is_answered_at_once_at_its_own_position(whole):
-    line = whole
-    first, third = beside(line)
+def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undisturbed):
+    line = undisturbed
+    first, third = confirmation_rows(line)
     assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
         ("B", AFTER_FIRST, "done"),
         ("B", AFTER_THIRD, "done"),
@@ -101,69 +101,71 @@ def test_suspicion_is_answered_at_once_at_its_own_position(whole):
         (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
         assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
         assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
-        said = confirmation_of(catalogue, "B", FIRST)
+        confirmation = confirmation_of(catalogue, "B", FIRST)
         assert confirmation_of(catalogue, "C") is None
-    assert said.confirms is True
-    assert said.distance_squared > said.limit
+    assert confirmation.confirms is True
+    assert confirmation.distance_squared > confirmation.limit
 
 
-def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
-    changes = [row for row in whole.rows("events") if row.position == "B" and row.topic == "alarms"]
+def test_the_evidence_of_the_alarm_has_the_confirmation_result(undisturbed):
+    changes = [row for row in undisturbed.rows("events") if row.position == "B" and row.topic == "alarms"]
     assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
     proven = [row.payload["proof"]["confirmation"] for row in changes]
-    assert [told["set_index"] for told in proven] == [AFTER_FIRST, AFTER_THIRD]
-    assert the_alarm(whole).proof["confirmation"] == proven[1]
+    assert [confirmation["set_index"] for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
+    assert the_alarm(undisturbed).proof["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
 
 
-def test_a_transducer_that_stays_sick_is_not_asked_every_set(whole):
-    asked = [row.payload["because"] for row in whole.rows("events") if row.kind == "confirmation_asked"]
-    assert asked == [STEP, ALARM]
+def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(undisturbed):
+    requests = [
+        row.payload["because"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"
+    ]
+    assert requests == [STEP, ALARM]
 
 
 def test_a_single_odd_set_is_not_confirmed(line):
     line.script = lambda key: healthy(key, 1.0 * (key.position == "B" and key.set_index == FIRST))
     line.run()
-    (row,) = beside(line)
+    (row,) = confirmation_rows(line)
     assert row.set_index == AFTER_FIRST
-    (assessment,) = beside(line, AssessmentRow)
+    (assessment,) = confirmation_rows(line, AssessmentRow)
     assert (assessment.confirms, assessment.outlier, assessment.in_baseline) == (False, False, False)
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
 
 
-def test_planned_sets_are_judged_alike_whether_or_not_anything_is_struck_between_them(whole, line):
-    without, line = line, whole
+def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_sets(undisturbed, line):
+    without, line = line, undisturbed
     without.settings = settings(confirmation_sets_a_day=0)
     without.run()
-    assert beside(line)
-    assert not beside(without)
+    assert confirmation_rows(line)
+    assert not confirmation_rows(without)
 
-    def planned(one, table):
-        # Causes do remember what a confirmation said.
+    def planned(item, table):
+        # The diagnosis depends on confirmation sets.
         causes = ("averages", "cause", "cause_probability", "cause_told")
         ordinal = {"verdicts": ("id", *causes), "features": ("id", "sequence")}[table]
-        return [replace(row, **dict.fromkeys(ordinal)) for row in one.rows(table)]
+        return [replace(row, **dict.fromkeys(ordinal)) for row in item.rows(table)]
 
     for table in ("verdicts", "features"):
         assert planned(line, table) == planned(without, table)
     assert line.rows("baselines") == without.rows("baselines")
     assert the_alarm(line).message == the_alarm(without).message
     with line.catalogue() as own, without.catalogue() as other:
-        sizes = [{**one.counts(), "events": 0} for one in (own, other)]
+        sizes = [{**item.counts(), "events": 0} for item in (own, other)]
         assert sizes[0] == sizes[1]
         assert sizes[0]["sets"] == SETS
         assert own.positions_state()["B"].last_set.set_index == SETS - 1
 
 
-def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
+def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     line.settings = settings(confirmation_sets_a_day=1)
 
-    ordered_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
+    send_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
     line.run()
-    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
-    asked = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
-    assert [told["author"] for told in asked] == ["", "Ada"]
-    assert asked[1]["because"] == "what is it?"
+    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
+    requests = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
+    assert [payload["author"] for payload in requests] == ["", "Ada"]
+    assert requests[1]["because"] == "what is it?"
 
 
 @pytest.mark.parametrize(
@@ -173,21 +175,21 @@ def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
         (FIRST, {"position": "A"}, "there is no solitary-wave transducer 'A'"),
     ],
 )
-def test_an_order_that_cannot_be_carried_out_is_refused_with_the_reason(line, at, order, refused):
+def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, order, refused):
     line.script = healthy
-    ordered_at(line, ("C", at, 0), "confirm", **order)
+    send_at(line, ("C", at, 0), "confirm", **order)
     line.run()
     with line.catalogue() as catalogue:
         (command,) = catalogue.rows(CommandRow)
     assert command.state == "refused"
     assert refused in command.result
-    assert not beside(line)
+    assert not confirmation_rows(line)
 
 
-def test_hands_in_the_rig_end_a_confirmation_set_too(line):
-    ordered_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
+def test_a_pause_ends_a_confirmation_set(line):
+    send_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
     line.run()
-    (row,) = beside(line)
+    (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
     assert confirmation_of_b(line).confirms is None
     assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
@@ -198,26 +200,26 @@ def confirmation_of_b(line):
         return confirmation_of(catalogue, "B")
 
 
-def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line):
+def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     stop = threading.Event()
 
     def stopping(key):
         if (key.set_index, key.shot_index) == (AFTER_FIRST, 1):
             stop.set()
-        return sick(*range(FIRST, SETS))(key)
+        return deviating(*range(FIRST, SETS))(key)
 
     line.script = stopping
     assert not line.run(stop=stop, archive=MemoryArchive(line.shelf))
-    line.script = sick(*range(FIRST, SETS))
+    line.script = deviating(*range(FIRST, SETS))
     assert line.run(archive=MemoryArchive(line.shelf))
-    first, _ = beside(line)
+    first, _ = confirmation_rows(line)
     assert first.state == "done"
     again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
     assert again == [("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)]
-    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
+    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
-def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_rebuild(line):
+def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
     stop = threading.Event()
 
     def stopping(key):
@@ -229,7 +231,7 @@ def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_
     run(line, stop=stop)
     line.script = with_incident_wave
     run(line)
-    confirmations = [(row.set_index, row.cause) for row in beside(line, AssessmentRow)]
+    confirmations = [(row.set_index, row.cause) for row in confirmation_rows(line, AssessmentRow)]
     assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
     causes = {row.set_index: row.cause for row in line.rows("verdicts") if row.position == "B"}
     assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [UNDETERMINED, COUPLING, COUPLING]
@@ -238,7 +240,7 @@ def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_
     assert alarm.proof["confirmation"]["set_index"] == AFTER_THIRD
     before = table_rows(line.folder)
     assert verify_folder(line.folder).damage == []
-    files = {read_set(line.folder / row.file).set_index for row in beside(line)}
+    files = {read_set(line.folder / row.file).set_index for row in confirmation_rows(line)}
     assert files == {AFTER_FIRST, AFTER_THIRD}
     lose_catalogue(line.folder)
     assert rebuild(line.folder, features_of=line.features_of).warnings == []
@@ -247,11 +249,11 @@ def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class DyingArchive(MemoryArchive):
-    """Is killed behind, or before, a confirmation set that it stores."""
+    """Archive that is killed before or after it stores a confirmation set."""
 
     def __init__(self, line, *, stored):
         super().__init__(line.shelf)
@@ -265,38 +267,43 @@ class DyingArchive(MemoryArchive):
 
 
 @pytest.mark.parametrize("stored", [True, False])
-def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
+def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stored):
     with pytest.raises(Killed):
         line.run(archive=DyingArchive(line, stored=stored))
-    assert not beside(line)
+    assert not confirmation_rows(line)
     line.run()
     facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
-    told = [[tuple(getattr(row, name) for name in facts) for row in beside(one)] for one in (line, whole)]
-    assert told[0] == told[1]
+    rows = [
+        [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(item)]
+        for item in (line, undisturbed)
+    ]
+    assert rows[0] == rows[1]
     ids = {"id": None, "sequence": None}
-    features = [[replace(row, **ids) for row in beside(one, FeatureRow)] for one in (line, whole)]
+    features = [
+        [replace(row, **ids) for row in confirmation_rows(item, FeatureRow)] for item in (line, undisturbed)
+    ]
     assert features[0] == features[1]
 
 
-def test_it_is_not_struck_where_the_next_planned_set_would_wait(line):
+def test_no_confirmation_set_is_taken_if_it_would_delay_a_scheduled_set(line):
     line.settings = settings({"phases": [{"until_h": 0.44, "interval_h": 0.02}]}, {"hours": 0.32})
     line.run()
-    assert not beside(line)
+    assert not confirmation_rows(line)
     assert "confirmation" not in the_alarm(line).proof
 
 
-def test_one_that_a_restart_finds_too_late_is_closed_with_what_it_has(line):
+def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(line):
     stop = threading.Event()
 
     def stopping(key):
         if key.set_index == AFTER_FIRST:
             stop.set()
-        return sick(*range(FIRST, SETS))(key)
+        return deviating(*range(FIRST, SETS))(key)
 
     line.script = stopping
     line.run(stop=stop, archive=MemoryArchive(line.shelf))
-    line.script = sick(*range(FIRST, SETS))
+    line.script = deviating(*range(FIRST, SETS))
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
-    row = beside(line)[0]
+    row = confirmation_rows(line)[0]
     assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
     assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")

@@ -1,4 +1,4 @@
-"""A recorder keeps nothing of the sets that are stored: its memory does not grow with the test."""
+"""A recorder keeps no stored sets: its memory does not grow with the test."""
 
 import gc
 import tracemalloc
@@ -14,7 +14,7 @@ cursors is cleared every 200, checksums of the last 64 records are remembered.""
 
 
 class ForgetfulArchive(MemoryArchive):
-    """As a disk: what is stored takes no memory."""
+    """Archive double that keeps no stored data, as a disk uses no memory."""
 
     def store_set(self, record):
         stored = super().store_set(record)
@@ -22,7 +22,7 @@ class ForgetfulArchive(MemoryArchive):
         return stored
 
 
-def test_sets_that_are_stored_leave_nothing_behind_in_memory(tmp_path):
+def test_stored_sets_use_no_memory(tmp_path):
     settings = memory_settings(
         schedule={"phases": [{"until_h": (LAST + 1) / 2, "interval_h": 0.5}], "shots_per_set": 4},
         baseline={"minimum_valid_shots": 1},
@@ -33,7 +33,7 @@ def test_sets_that_are_stored_leave_nothing_behind_in_memory(tmp_path):
         if key.position == "D" and key.set_index in (BEGIN, FIRST, LAST) and key.set_index not in traced:
             line.instruments[0].calls, line.heartbeat.told = deque(maxlen=1), deque(maxlen=1)
             gc.collect()
-            if key.set_index == BEGIN:  # what is kept for long has been allocated anew by `FIRST`
+            if key.set_index == BEGIN:  # long-lived objects are allocated before `FIRST`
                 tracemalloc.start()
             traced[key.set_index] = tracemalloc.get_traced_memory()[0]
             if key.set_index == LAST:
@@ -41,6 +41,6 @@ def test_sets_that_are_stored_leave_nothing_behind_in_memory(tmp_path):
         return healthy(key)
 
     line.script = script
-    line.listen_every_s = 1e9  # how often a fast machine looks for orders is not the matter
+    line.listen_every_s = 1e9  # the number of command polls is not tested here
     assert line.run(archive=ForgetfulArchive(line.shelf))
     assert traced[LAST] - traced[FIRST] < MOST_BYTES

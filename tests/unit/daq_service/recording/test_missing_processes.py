@@ -1,4 +1,4 @@
-"""What a recorder does about a web service that stalls, and the alarm raised in its absence."""
+"""Reaction of a recorder to a stalled web service, and to the alarm raised in its absence."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class Web:
-    """A web service's heartbeat file, on a monotonic time that passes by hand."""
+    """Heartbeat file of a web service on a manual monotonic clock."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.now_s = folder, 1000.0
@@ -65,7 +65,7 @@ def test_a_service_that_stalls_is_missing_until_it_responds(web: Web) -> None:
     assert next(web.looks(watch, 1.0)) is False
 
 
-def test_without_a_service_or_after_its_orderly_end_none_is_missing(web: Web) -> None:
+def test_a_service_never_started_or_ended_in_order_is_not_missing(web: Web) -> None:
     watch = web.watch()
     assert set(web.looks(watch, 2.0 * WEB_STARTS_WITHIN_S)) == {False}
     web.beat()
@@ -74,7 +74,7 @@ def test_without_a_service_or_after_its_orderly_end_none_is_missing(web: Web) ->
 
 
 @pytest.mark.parametrize("boot", [boot_name(), "another boot"])
-def test_one_that_served_before_this_recorder_has_time_to_come_back(web: Web, boot: str) -> None:
+def test_a_service_older_than_the_recorder_has_time_to_return(web: Web, boot: str) -> None:
     web.beat(boot=boot)
     web.now_s += 10.0 * WEB_DEADLINE_S
     watch = web.watch()
@@ -82,7 +82,7 @@ def test_one_that_served_before_this_recorder_has_time_to_come_back(web: Web, bo
     assert list(web.looks(watch, 2.0))[-1] is True
 
 
-def test_a_computer_that_wakes_up_finds_no_service_missing(web: Web) -> None:
+def test_a_wake_up_of_the_computer_reports_no_missing_service(web: Web) -> None:
     watch = web.watch()
     web.beat()
     assert next(web.looks(watch, 1.0)) is False
@@ -92,8 +92,8 @@ def test_a_computer_that_wakes_up_finds_no_service_missing(web: Web) -> None:
     assert next(web.looks(watch, 1.0)) is False
 
 
-class Scripted(WebWatch):
-    """Answers as a list says, then for ever as its last item."""
+class ScriptedWatch(WebWatch):
+    """Callable that returns the items of a list, then always the last item."""
 
     def __init__(self, folder: Path, *answers: bool | None) -> None:
         super().__init__(folder)
@@ -113,7 +113,7 @@ def events(line: Line) -> list[tuple[str, str]]:
 
 def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: Path) -> None:
     line = Line(tmp_path)
-    assert line.run(web=Scripted(tmp_path, False, None, True, True, None, False, False))
+    assert line.run(web=ScriptedWatch(tmp_path, False, None, True, True, None, False, False))
     kind = "web_not_responding"
     assert events(line) == [(kind, "alarm_raised"), (kind, "alarm_cleared")]
     with line.catalogue() as catalogue:
@@ -138,26 +138,26 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
     if when == "before it starts":
         raise_in_its_absence(line)
 
-    def tell(event: str, **values: object) -> None:
+    def report(event: str, **values: object) -> None:
         if when == "while it runs" and event == "begun":
             raise_in_its_absence(line)
 
-    assert line.run(tell=tell)
+    assert line.run(tell=report)
     assert events(line) == [("recorder_not_running", "alarm_cleared")]
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
     assert row.state == "returned_unacknowledged"
 
 
-def test_an_order_finds_the_alarm_that_another_process_raised(tmp_path: Path) -> None:
+def test_a_command_applies_to_the_alarm_of_another_process(tmp_path: Path) -> None:
     line = Line(tmp_path, script=lambda key: None)  # no set has records: the alarm stays
 
-    def tell(event: str, **values: object) -> None:
+    def report(event: str, **values: object) -> None:
         if event == "begun":
             raise_in_its_absence(line)
 
     line.order("acknowledge_alarm", alarm_id=1, note="seen")
-    line.run(tell=tell)
+    line.run(tell=report)
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
     assert (row.id, row.state, row.acknowledged_by) == (1, "acknowledged", "Ada")

@@ -1,4 +1,4 @@
-"""A recorder that waits for its rig runs, and an alarm says so; what is told of why none ran before."""
+"""A recorder that waits for its rig is running and raises an alarm; reasons of earlier missed sets."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -27,16 +27,16 @@ WHY = f"the rig cannot be opened: {GONE}; the recorder tries again until it can"
 
 
 class Opener:
-    """A recorder that finds its rig gone so often, and what it tells."""
+    """Recorder whose rig is missing a number of times, and its reports."""
 
     def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
         self.folder, self.catalogue = folder, catalogue
-        self.told: list[tuple[str, str]] = []
+        self.reports: list[tuple[str, str]] = []
         self.heartbeat = Heartbeat(folder, deadline_s=60.0)
         self.stop = threading.Event()
 
     def hear(self, event: str, **values: Any) -> None:
-        self.told.append((event, values.get("why") or values["change"]))
+        self.reports.append((event, values.get("why") or values["change"]))
 
     def open(self, refusals: int, look: Callable[[], None] = lambda: None) -> tuple[Any, str]:
         left = [GONE] * refusals
@@ -84,21 +84,21 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     (row,) = opener.alarms
     assert (row.message, row.proof) == (WHY, {"error": "ConnectionLostError"})
     assert row.state == "returned_unacknowledged"
-    assert opener.told == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
+    assert opener.reports == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
     assert opener.heartbeat.stage == ""
 
 
-def test_an_alarm_that_stands_is_not_raised_again_but_told(opener: Opener) -> None:
+def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> None:
     opener.stop.set()
     assert opener.open(9) == (None, f"the recorder waited for the rig: {GONE}")
     opener.stop.clear()
-    opener.told.clear()
+    opener.reports.clear()
     opener.open(2)
-    assert opener.told == [("waits", WHY), ("alarm", "alarm_cleared")]
+    assert opener.reports == [("waits", WHY), ("alarm", "alarm_cleared")]
     assert len(opener.alarms) == 1
 
 
-def test_a_rig_that_opens_says_nothing_of_the_alarm_of_a_set(opener: Opener) -> None:
+def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener: Opener) -> None:
     opener.stop.set()
     opener.open(1)
     (row,) = opener.alarms
@@ -126,7 +126,7 @@ STOPPED = "the recorder was stopped by its operator"
         ([], None, "the recorder was starting"),
     ],
 )
-def test_the_cause_of_missed_sets_is_what_is_known(
+def test_missed_sets_have_the_known_cause(
     tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
 ) -> None:
     with new_catalogue(tmp_path) as catalogue:
@@ -135,7 +135,7 @@ def test_the_cause_of_missed_sets_is_what_is_known(
         assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
 
 
-def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
+def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> None:
     tell(opener.catalogue, "recorder_started")
     _store_stop(
         opener.catalogue,
@@ -144,6 +144,6 @@ def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
         MOMENT,
         None,
     )
-    told = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
-    assert told is not None
-    assert look_at_recorder(opener.folder, [told.kind]).word == "stopped"
+    event = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
+    assert event is not None
+    assert look_at_recorder(opener.folder, [event.kind]).word == "stopped"

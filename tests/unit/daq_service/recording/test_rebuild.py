@@ -1,4 +1,4 @@
-"""A catalogue that was lost comes again, row for row; what cannot be made again is told."""
+"""A lost catalogue is rebuilt row for row; what cannot be rebuilt is reported."""
 
 import json
 import shutil
@@ -39,24 +39,24 @@ def life(tmp_path_factory):
 
 @pytest.fixture
 def line(life, tmp_path):
-    """A copy of its folder."""
+    """Return a copy of its folder."""
     folder = tmp_path / "copy"
     shutil.copytree(life.folder, folder)
     return replace(life, folder=folder)
 
 
-def made_again(line, **options):
+def rebuild_catalogue(line, **options):
     return rebuild(line.folder, features_of=line.features_of, **options)
 
 
-def test_a_lost_catalogue_comes_again_row_for_row(line):
+def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
-    told = []
-    made = made_again(line, progress=lambda done, total: told.append((done, total)))
+    calls = []
+    result = rebuild_catalogue(line, progress=lambda done, total: calls.append((done, total)))
     assert table_rows(line.folder) == before
-    assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
-    assert told[-1] == (made.sets, made.sets)
+    assert (result.kept, result.warnings, result.sets) == ("", [], len(set_files(line.folder)))
+    assert calls[-1] == (result.sets, result.sets)
     assert not (line.folder / BUILDING).exists()
 
 
@@ -72,7 +72,7 @@ def on_the_wall_clock(tmp_path_factory):
     [((), set(metadata.tables)), ((EXPERIMENT_FILE, HISTORY_FILE), {"sets", "shots", "features"})],
     ids=["the catalogue", "all but the sets"],
 )
-def test_on_the_wall_clock_hour_0_and_the_rows_come_again(on_the_wall_clock, tmp_path, gone, tables):
+def test_a_test_on_the_wall_clock_is_rebuilt_with_its_hour_0(on_the_wall_clock, tmp_path, gone, tables):
     folder = tmp_path / "data"
     shutil.copytree(on_the_wall_clock, folder)
     before = table_rows(folder)
@@ -84,36 +84,36 @@ def test_on_the_wall_clock_hour_0_and_the_rows_come_again(on_the_wall_clock, tmp
         assert catalogue.experiment_row().epoch_utc_ns == parse_utc("2026-01-01T00:00:00Z")
 
 
-def test_history_alone_tells_which_experiment_it_is(line):
+def test_the_history_alone_identifies_the_experiment(line):
     before, kept = table_rows(line.folder), read_experiment(line.folder)
     lose_catalogue(line.folder, EXPERIMENT_FILE)
-    made_again(line)
+    rebuild_catalogue(line)
     assert table_rows(line.folder) == before
     assert read_experiment(line.folder) == kept
 
 
-def test_a_whole_catalogue_keeps_what_nobody_can_compute_without_a_history(line):
+def test_a_complete_catalogue_keeps_rows_that_only_a_history_could_restore(line):
     before = table_rows(line.folder)
     (line.folder / HISTORY_FILE).unlink()
-    made = made_again(line)
+    result = rebuild_catalogue(line)
     assert table_rows(line.folder) == before
-    assert (line.folder / made.kept).exists()
+    assert (line.folder / result.kept).exists()
     assert (line.folder / HISTORY_FILE).exists()
 
 
-def test_twice_is_once(line):
+def test_a_second_rebuild_changes_nothing(line):
     before = table_rows(line.folder)
-    made_again(line)
-    made_again(line)
+    rebuild_catalogue(line)
+    rebuild_catalogue(line)
     assert table_rows(line.folder) == before
 
 
-def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
+def test_the_files_alone_restore_all_rows_of_their_sets(line):
     with open_catalogue(line.folder) as catalogue:
         before = [row for row in catalogue.rows(SetRow) if row.file]
         epoch = catalogue.experiment_row().epoch_utc_ns
     lose_catalogue(line.folder, EXPERIMENT_FILE, HISTORY_FILE)
-    made_again(line)
+    rebuild_catalogue(line)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.experiment_row().epoch_utc_ns == epoch
         after = [row for row in catalogue.rows(SetRow) if row.file]
@@ -122,7 +122,7 @@ def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
     ]
 
 
-def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_and_again(tmp_path):
+def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp_path):
     kinds = {"no_data": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
     stop = threading.Event()
 
@@ -144,22 +144,22 @@ def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_a
     # Two poor sets make the condition, 3,000 s are two intervals; the first good set is 8.
     (alarm,) = line.alarms()
     assert (alarm.kind, alarm.raised_set_index, alarm.state) == ("no_data", 5, "returned_unacknowledged")
-    told = [
+    events = [
         (event.kind, event.set_index)
         for event in line.rows("events")
         if event.topic == "alarms" and event.payload.get("kind") != NOT_ASSESSED
     ]
-    assert told == [
+    assert events == [
         *[("alarm_delay", 3), ("alarm_delay", 5), ("alarm_raised", 5)],
         *[("alarm_delay", 8), ("alarm_delay", 10), ("alarm_cleared", 10)],
     ]
-    for beside in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
-        lose_catalogue(line.folder, *beside)
-        assert made_again(line).warnings == []
+    for files in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
+        lose_catalogue(line.folder, *files)
+        assert rebuild_catalogue(line).warnings == []
         assert line.rows("alarms") == before
 
 
-def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
+def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning(line):
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)
@@ -167,8 +167,8 @@ def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
     del lines[number]
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
-    made = made_again(line)
-    assert any("history" in warning and f"{number + 1}" in warning for warning in made.warnings)
+    result = rebuild_catalogue(line)
+    assert any("history" in warning and f"{number + 1}" in warning for warning in result.warnings)
     after = table_rows(line.folder)
     assert [row for row in before["events"] if row not in after["events"]] == [
         row for row in before["events"] if row[4] == "hold"
@@ -176,7 +176,7 @@ def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
     assert {name for name in before if before[name] != after[name]} == {"events", "counts"}
 
 
-def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
+def test_a_lost_line_that_a_set_implies_gets_its_id_again(line):
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)
@@ -184,7 +184,7 @@ def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
     lines[number] = lines[number].replace(b"set_features", b"set_Features")
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
-    assert made_again(line).warnings
+    assert rebuild_catalogue(line).warnings
     after = table_rows(line.folder)
     assert [row[0] for row in after["events"]] == [row[0] for row in before["events"]]
     # When it was written is lost, and so are the checksum's bits.
@@ -193,32 +193,34 @@ def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
     ]
 
 
-def test_a_set_without_its_file_keeps_what_was_told_of_it(line):
+def test_a_set_without_its_file_keeps_its_rows(line):
     with open_catalogue(line.folder) as catalogue:
         sets = catalogue.rows(SetRow)
         alarms = catalogue.rows(AlarmRow)
     set_files(line.folder)[6].unlink()
     lose_catalogue(line.folder)
-    made = made_again(line)
-    assert any("set 6" in warning for warning in made.warnings)
+    result = rebuild_catalogue(line)
+    assert any("set 6" in warning for warning in result.warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow) == sets
         assert catalogue.rows(AlarmRow) == alarms
 
 
-def test_a_file_that_is_another_one_is_told(line):
-    told = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
-    digests = {item["row"]["file"]: item["row"]["file_sha256"] for item in told if item["table"] == "files"}
+def test_a_replaced_file_causes_a_warning(line):
+    entries = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
+    digests = {
+        item["row"]["file"]: item["row"]["file_sha256"] for item in entries if item["table"] == "files"
+    }
     digest = digests[f"sets/{set_files(line.folder)[1].name}"]
     lose_catalogue(line.folder)
     file = set_files(line.folder)[1]
     file.write_bytes(file.read_bytes() + b" ")
-    assert any("SHA-256" in warning for warning in made_again(line).warnings)
+    assert any("SHA-256" in warning for warning in rebuild_catalogue(line).warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow, set_index=1)[0].file_sha256 == digest
 
 
-def test_results_are_computed_again_and_a_copy_that_differs_is_told(line):
+def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     before = table_rows(line.folder)
     file = set_files(line.folder)[1]
     with open_catalogue(line.folder) as catalogue:
@@ -226,8 +228,10 @@ def test_results_are_computed_again_and_a_copy_that_differs_is_told(line):
     copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
     file.write_bytes(build_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)
-    warnings = made_again(line).warnings
-    assert any("set 1, its file: features" in told and "in the file 1.0" in told for told in warnings)
+    warnings = rebuild_catalogue(line).warnings
+    assert any(
+        "set 1, its file: features" in warning and "in the file 1.0" in warning for warning in warnings
+    )
     assert table_rows(line.folder)["features"] == before["features"]
 
 
@@ -242,7 +246,7 @@ def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):
     shutil.copy(stray, line.folder / "sets" / stray.name.replace("000000", "000099"))
     before = table_rows(line.folder)
     with pytest.raises(OtherExperimentError, match=r"set_000099.*configuration") as refusal:
-        made_again(line)
+        rebuild_catalogue(line)
     assert other.settings.configuration_hash() in str(refusal.value)
     assert table_rows(line.folder) == before
     assert not (line.folder / BUILDING).exists()
@@ -253,7 +257,7 @@ def test_a_catalogue_of_another_hour_0_is_refused(line, tmp_path):
         row = catalogue.experiment_row()
         catalogue.restore([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
     with pytest.raises(OtherExperimentError, match="two experiments"):
-        made_again(line)
+        rebuild_catalogue(line)
 
 
 def test_a_folder_without_a_test_is_refused(tmp_path):
@@ -262,7 +266,7 @@ def test_a_folder_without_a_test_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
+def test_a_catalogue_is_lost_if_a_started_test_lacks_it(line, tmp_path):
     assert not lost_catalogue(tmp_path)
     assert not lost_catalogue(line.folder)
     (line.folder / "catalogue.sqlite").write_bytes(b"")
@@ -273,11 +277,11 @@ def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
     assert lost_catalogue(line.folder)
 
 
-def test_a_set_of_another_hour_0_is_told_whatever_its_format(line):
+def test_a_set_with_another_hour_0_is_rejected_in_each_format(line):
     with open_catalogue(line.folder) as catalogue:
         experiment = catalogue.experiment_row()
     record = read_set(set_files(line.folder)[0])
-    older = {name: told for name, told in record.provenance.items() if name != "experiment"}
+    older = {name: value for name, value in record.provenance.items() if name != "experiment"}
     assert foreign_reason(record, experiment) == ""
     assert foreign_reason(replace(record, provenance=older), experiment) == ""
     later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)

@@ -1,4 +1,4 @@
-"""The line on a rig in memory: what is taken, stored, missed, taken over, and what ends it."""
+"""The recording line on a rig in memory: sets taken, stored, missed and continued, and its end."""
 
 import threading
 from dataclasses import replace
@@ -36,16 +36,16 @@ def causes(line, position):
     return [row.cause for row in line.rows("sets", position)]
 
 
-def told(line, kind):
+def events_of(line, kind):
     return [row for row in line.rows("events") if row.kind == kind]
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class WatchedArchive(MemoryArchive):
-    """Notes how many sets have rows at the moment one is stored, and is killed at some."""
+    """Archive that records how many sets have rows when one is stored, and is killed at some."""
 
     def __init__(self, line, refuse=()):
         super().__init__(line.shelf)
@@ -70,7 +70,7 @@ def test_every_due_set_is_struck_in_order_and_has_its_rows(line):
     assert line.rows("events")[-1].kind == "schedule_done"
 
 
-def test_a_set_is_durable_before_anybody_hears_of_it(line):
+def test_a_set_is_durable_before_it_is_reported(line):
     archive = WatchedArchive(line)
     line.run(archive=archive)
     assert archive.seen == [(index, index) for index in range(SETS)]
@@ -86,7 +86,7 @@ def test_a_set_that_was_not_stored_has_no_rows_and_is_taken_again(line):
 
 
 class Seconds:
-    """A monotonic clock on which each look takes a while."""
+    """Monotonic clock that advances at each read."""
 
     def __init__(self, step_s=10.0):
         self.now_s, self.step_s = 0.0, step_s
@@ -97,7 +97,7 @@ class Seconds:
 
 
 class FullDisk(MemoryArchive):
-    """Takes nothing from a set on, until it was asked so many times."""
+    """Disk that accepts nothing from a set on, until a number of attempts."""
 
     def __init__(self, line, first, times, error=None):
         super().__init__(line.shelf)
@@ -112,24 +112,24 @@ class FullDisk(MemoryArchive):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A test that nothing disturbed; only read."""
+def undisturbed(tmp_path_factory):
+    """Return an undisturbed test; read-only."""
     one = Line(tmp_path_factory.mktemp("whole"))
     one.run()
     return one
 
 
-def assert_same_rows(line, whole):
+def assert_same_rows(line, undisturbed):
     for table in ("sets", "shots", "features", "thickness", "verdicts", "baselines"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 @pytest.mark.parametrize(
     "error", [ArchiveWriteError("No space left on device"), OSError(24, "Too many open files")]
 )
-def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
+def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, undisturbed, error):
     assert line.run(archive=FullDisk(line, 3, 7, error), mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
@@ -138,15 +138,15 @@ def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
     assert line.heartbeat.told[-1] == "leaving"
 
 
-def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
+def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     disk = FullDisk(line, 3, 4)
     assert line.run(archive=disk, mono_s=Seconds(0.4))
     waited = [doing for doing in line.heartbeat.told if "wait in memory" in doing]
     assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
-    assert line.instruments[0].struck == whole.instruments[0].struck
+    assert line.instruments[0].struck == undisturbed.instruments[0].struck
     for table in ("sets", "features", "verdicts"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
@@ -155,19 +155,21 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.work
 
     def freed(backlog):
-        """Work as ever; somebody frees the disk when two sets and three gaps wait."""
+        """Work, and free the disk when two sets and three gaps wait."""
         if len(backlog) >= 5:
             disk.left = 0
         work(backlog)
 
     monkeypatch.setattr(WriteRetryQueue, "work", freed)
-    assert line.run(archive=disk, mono_s=Seconds(100.0))  # each look is late enough for another try
+    assert line.run(archive=disk, mono_s=Seconds(100.0))  # each poll is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
 
 
 @pytest.mark.parametrize("stored_all_the_same", [False, True])
-def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeypatch, stored_all_the_same):
+def test_a_commit_that_failed_is_repeated_and_never_doubled(
+    line, undisturbed, monkeypatch, stored_all_the_same
+):
     commit, failures = RecorderCatalogue.commit_set, iter([True] * 3)
 
     def failing(catalogue, transaction):
@@ -179,7 +181,7 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
 
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
     assert line.run(mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
 
 
@@ -203,7 +205,7 @@ def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_
     assert missed == {"the recorder waited for the disk: database is locked"}
 
 
-def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
+def test_the_recorder_waits_for_the_last_event_of_a_test(line, monkeypatch):
     add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
 
     def failing(catalogue, *, kind, **values):
@@ -226,7 +228,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
 
 
 class SlowWorker:
-    """Finishes a set at every fourth look."""
+    """Worker that finishes a set at every fourth poll."""
 
     trouble, damaged = "", {}
 
@@ -272,7 +274,7 @@ def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_
 
 
 class Volume:
-    """A volume of 100 GB that fills when a set is struck, and is freed after so many looks at it."""
+    """Volume of 100 GB that fills when a set is struck and is freed after a number of reads."""
 
     def __init__(self, line, set_index, free_gb, looks):
         self.line, self.set_index, self.free_gb, self.left = line, set_index, free_gb, looks
@@ -291,21 +293,21 @@ class Volume:
         return DiskWatch(self.line.folder, StorageSettings(reserve_mb=1), usage=self, mono_s=Seconds())
 
 
-def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
+def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
     alarms = {row.kind: row for row in line.alarms()}
     assert alarms["disk_space"].severity == "high"
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
-    assert [row.payload["level"] for row in told(line, "disk_space")] == ["stop", "ample"]
+    assert [row.payload["level"] for row in events_of(line, "disk_space")] == ["stop", "ample"]
     assert any(
         "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
         for doing in line.heartbeat.told
     )
 
 
-def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
+def test_in_real_time_below_five_percent_free_no_shot_is_acknowledged(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf), []
     assert line.run(
@@ -314,8 +316,8 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
         archive=archive,
         acknowledged=lambda shot_id: at.append((shot_id, volume.left)),
     )
-    assert line.instruments[0].struck == whole.instruments[0].struck
-    assert line.rows("sets") == whole.rows("sets")
+    assert line.instruments[0].struck == undisturbed.instruments[0].struck
+    assert line.rows("sets") == undisturbed.rows("sets")
     assert {left for _, left in at} == {60, 0}, "before the volume was full and after it was freed"
     assert sorted(shot_id for shot_id, _ in at) == [row.sequence for row in line.rows("shots")]
 
@@ -323,14 +325,16 @@ def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwh
 @pytest.mark.parametrize(
     ("free_gb", "level", "alarms"), [(15.0, "warn", []), (9.0, "alarm", [("disk_space", "medium")])]
 )
-def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, whole, free_gb, level, alarms):
+def test_above_five_percent_free_the_test_continues_with_an_event_or_an_alarm(
+    line, undisturbed, free_gb, level, alarms
+):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
-    assert [row.payload["level"] for row in told(line, "disk_space")] == [level, "ample"]
+    assert [row.payload["level"] for row in events_of(line, "disk_space")] == [level, "ample"]
     assert [(row.kind, row.severity) for row in line.alarms()] == alarms
-    assert_same_rows(line, whole)
+    assert_same_rows(line, undisturbed)
 
 
-def test_a_stop_stores_what_waits_in_the_space_that_is_left(line, caplog):
+def test_a_stop_stores_pending_data_in_the_remaining_space(line, caplog):
     stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
     volume = Volume(line, 2, 4.9, 10**9)
     line.settings = memory_settings(clock={"kind": "wall"})
@@ -342,35 +346,35 @@ def test_a_stop_stores_what_waits_in_the_space_that_is_left(line, caplog):
     assert "jobs are lost" not in caplog.text
 
 
-def test_a_restart_gives_the_rows_of_a_run_in_one_go(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
+def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, tmp_path):
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     for count in (2, 5):  # within the baseline, twice
         with pytest.raises(Killed):
             line.run(archive=WatchedArchive(line, refuse={count}))
     line.run()
     for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
 
 
 def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
-    orphan = next(record for record in whole.shelf.sets.values() if record.set_index == 0)
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
+    orphan = next(record for record in undisturbed.shelf.sets.values() if record.set_index == 0)
     MemoryArchive(line.shelf).store_set(orphan)
     line.run()
     assert line.instruments[0].struck[0] == ("B", 1, 0, 0)
-    assert line.rows("features", "B") == whole.rows("features", "B")
-    assert line.rows("shots", "B") == whole.rows("shots", "B")
+    assert line.rows("features", "B") == undisturbed.rows("features", "B")
+    assert line.rows("shots", "B") == undisturbed.rows("shots", "B")
 
 
-def test_a_damaged_file_without_rows_is_set_aside_with_an_alarm_and_blocks_no_start(line, tmp_path):
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
-    for record in list(whole.shelf.sets.values())[:2]:
+def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path):
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
+    for record in list(undisturbed.shelf.sets.values())[:2]:
         stored = MemoryArchive(line.shelf).store_set(record)
         line.shelf.damaged |= {(stored.file, item.sequence) for item in record.records}
     line.run(start_h=1.2)  # set 0 is over, set 1 is still due
@@ -385,17 +389,17 @@ def test_a_damaged_file_without_rows_is_set_aside_with_an_alarm_and_blocks_no_st
     assert alarm.state == "returned_unacknowledged"
 
 
-def test_an_alarm_that_a_crash_kept_from_its_rows_is_raised_by_the_next_start(line):
-    whole = Line(line.folder.parent / "whole")
-    whole.folder.mkdir()
-    whole.run()
+def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line):
+    undisturbed = Line(line.folder.parent / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     archive = MemoryArchive(line.shelf)
-    archive.set_aside(archive.store_set(next(iter(whole.shelf.sets.values()))).file)
+    archive.set_aside(archive.store_set(next(iter(undisturbed.shelf.sets.values()))).file)
     line.run()
     assert [row.kind for row in line.alarms()] == ["data_damaged"]
 
 
-def test_a_recorder_whose_supervisor_is_gone_says_so(line):
+def test_a_recorder_without_its_supervisor_reports_it(line):
     stop, left_alone = threading.Event(), threading.Event()
     stop.set()
     left_alone.set()
@@ -448,7 +452,7 @@ def test_a_shot_whose_repetition_counts_is_not_averaged_in(line):
     assert row.amplitude_ratio == pytest.approx(mean, rel=1e-12)  # a mean in another order: rounding only
 
 
-def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
+def test_a_missed_strike_makes_a_set_partial_with_a_count(line):
     line.script = lambda key: None if (key.position, key.set_index) == ("B", 1) else healthy(key)
     line.run()
     row = line.rows("sets", "B")[1]
@@ -458,7 +462,7 @@ def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
     assert states(line, "C")[1] == "done"
 
 
-def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
+def test_a_set_without_records_has_rows_with_causes_and_no_file(line):
     line.script = lambda key: None if key.set_index == 2 else healthy(key)
     line.run()
     assert {states(line, position)[2] for position in "ABCD"} == {"missed"}
@@ -467,7 +471,7 @@ def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
 
 
 @pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
-def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, kind):
+def test_a_temporary_rig_error_costs_only_its_set(line, kind):
     trouble = kind("the chassis reboots")
     line.script = lambda key: trouble if key.set_index == 0 and key.position != "A" else healthy(key)
     assert line.run()
@@ -479,15 +483,15 @@ def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, 
 
 
 def failing_at(*keys):
-    """Something that no waiting can mend, says the driver."""
+    """Return a script that raises a permanent error of the driver at these shots."""
     return lambda key: ConfigurationError("no such channel") if key in keys else healthy(key)
 
 
 def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
-    for index in (0, 1):  # nothing is proven by the next start either
+    for index in (0, 1):  # the next start has no proof, either
         line.script = failing_at(ShotKey(position="C", set_index=index, shot_index=2))
-        told = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
-        with pytest.raises(RigError, match=told):
+        message = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
+        with pytest.raises(RigError, match=message):
             line.run()
     assert states(line, "C") == ["partial"] * 2
     assert causes(line, "C")[0] == "no such channel"
@@ -498,7 +502,7 @@ def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
 
 
 @pytest.mark.parametrize("restarted", [False, True])
-def test_a_rig_that_has_worked_costs_sets_and_not_the_test_whatever_it_says(line, restarted):
+def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, restarted):
     broken = [ShotKey(position="C", set_index=index, shot_index=2) for index in (1, 2, 3)]
     if restarted:
         with pytest.raises(Killed):
@@ -511,7 +515,7 @@ def test_a_rig_that_has_worked_costs_sets_and_not_the_test_whatever_it_says(line
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
 
-def test_a_stop_leaves_the_set_open_and_the_rest_is_due_again(line):
+def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
     stop = threading.Event()
 
     def script(key):
@@ -528,34 +532,34 @@ def test_a_stop_leaves_the_set_open_and_the_rest_is_due_again(line):
     assert states(line, "D") == ["done"] * SETS
 
 
-def stopped_in_a_set(line, key, **options):
-    """Run with a journal until a shot, after which a stop or a kill comes."""
+def stop_in_set(line, key, **options):
+    """Run with a journal until a stop or a kill after a shot."""
     archive, stop = MemoryArchive(line.shelf), threading.Event()
-    line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
+    line.script = lambda key_of_shot: (stop.set() if key_of_shot == key else None, healthy(key_of_shot))[1]
     assert not line.run(stop=stop, archive=archive, **options)
     line.script = healthy
     return MemoryArchive(line.shelf)
 
 
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
-def test_a_set_that_a_stop_cut_short_goes_on_with_the_missing_strikes_only(line, tmp_path, key):
+def test_an_interrupted_set_continues_with_its_missing_strikes(line, tmp_path, key):
     position, set_index, shot_index = key
-    whole = Line(tmp_path / "whole")
-    whole.folder.mkdir()
-    whole.run()
+    undisturbed = Line(tmp_path / "whole")
+    undisturbed.folder.mkdir()
+    undisturbed.run()
     last = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
-    archive = stopped_in_a_set(line, last)
+    archive = stop_in_set(line, last)
     assert len(line.rows("sets", "B")) == set_index
     assert line.run(archive=archive)
     before, after = (instruments.struck for instruments in line.instruments)
-    assert before + after == whole.instruments[0].struck
+    assert before + after == undisturbed.instruments[0].struck
     for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
-        assert line.rows(table) == whole.rows(table), table
+        assert line.rows(table) == undisturbed.rows(table), table
     assert archive.open_sets() == {}
 
 
-def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
-    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+def test_an_open_set_whose_time_is_over_keeps_its_records(line):
+    archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     assert line.run(archive=archive, start_h=1.7, cause="the power was out")
     assert [states(line, position)[:3] for position in "ABCD"] == [
         ["done", "done", "done"],
@@ -569,8 +573,8 @@ def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
     assert archive.open_sets() == {}
 
 
-def test_a_hold_after_a_restart_keeps_what_an_open_set_has(line):
-    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+def test_a_pause_after_a_restart_keeps_the_records_of_an_open_set(line):
+    archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
     line.order("hold", note="hands in the rig")
     line.listen_every_s = 0.0
     assert line.run(archive=archive)
@@ -580,10 +584,10 @@ def test_a_hold_after_a_restart_keeps_what_an_open_set_has(line):
 
 
 def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
-    """A kill costs the shot in the air."""
+    """A kill costs only the shot in progress."""
     line.settings = memory_settings(clock={"kind": "wall"})
     killed_at = ShotKey(position="B", set_index=0, shot_index=2)
-    told = []
+    sequences = []
 
     def script(key):
         if key == killed_at:
@@ -592,20 +596,20 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
     line.script = script
     with pytest.raises(Killed):
-        line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
+        line.run(archive=MemoryArchive(line.shelf), acknowledged=sequences.append)
     (opened,) = line.shelf.open.values()
-    assert [item.sequence for item in opened.records] == told == [1, 2, 3]
+    assert [item.sequence for item in opened.records] == sequences == [1, 2, 3]
     line.script = healthy
-    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=told.append)
-    assert told == sorted(set(told))
-    assert len(told) == len(line.rows("shots"))
+    assert line.run(archive=MemoryArchive(line.shelf), acknowledged=sequences.append)
+    assert sequences == sorted(set(sequences))
+    assert len(sequences) == len(line.rows("shots"))
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
-    """A set of the paper takes two minutes: nobody should wait for its end."""
+def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
+    """A set of the paper takes two minutes; the report must not wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
-    archive, told = MemoryArchive(line.shelf), []
+    archive, strikes = MemoryArchive(line.shelf), []
     sync, refusals = archive.sync, iter([True] * 4)
 
     def refusing():
@@ -614,12 +618,12 @@ def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
         return sync()
 
     def script(key):
-        told.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        strikes.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
         return healthy(key)
 
     archive.sync, line.script = refusing, script
     assert line.run(archive=archive, mono_s=Seconds())
-    (struck,) = next(doing for position, shot_index, doing in told if (position, shot_index) == ("B", 1))
+    (struck,) = next(doing for position, shot_index, doing in strikes if (position, shot_index) == ("B", 1))
     assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert alarm.state == "returned_unacknowledged"
@@ -643,34 +647,34 @@ def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def ordered_at(line, key, kind, **arguments):
-    """An order that a person gives while a shot is read; it is heard before the next strike."""
+def send_at(line, key, kind, **arguments):
+    """Send a command while a shot is read; it is received before the next strike."""
     line.listen_every_s = 0.0
 
-    def script(asked):
-        if asked == key:
+    def script(key_of_shot):
+        if key_of_shot == key:
             line.order(kind, **arguments)
-        return healthy(asked)
+        return healthy(key_of_shot)
 
     line.script = script
 
 
-def test_a_hold_ends_the_set_that_is_being_taken(line):
-    ordered_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
+def test_a_pause_ends_the_running_set(line):
+    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
     assert causes(line, "D")[1] == "held by Ada: hands in the rig"
 
 
-def test_a_transducer_that_is_retired_during_a_set_is_struck_no_more(line):
-    ordered_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
+def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
+    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "retired"]
 
 
-def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
+def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
     line.order("hold", note="hands in the rig")
     assert line.run()
     assert line.instruments[0].struck == []
@@ -681,7 +685,7 @@ def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
     assert {row.state for row in line.rows("sets")} == {"missed"}
 
 
-def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
+def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
     line.order("retire", position="C")
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
@@ -690,7 +694,7 @@ def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_silent_transducer_raises_no_data_then_retires(line):
+def test_a_silent_transducer_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
     line.run()
     alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
@@ -698,7 +702,7 @@ def test_a_silent_transducer_raises_no_data_then_retires(line):
     assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
 
 
-def test_a_transducer_that_gives_no_record_at_all_raises_no_data_then_retires(line):
+def test_a_transducer_without_any_record_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: None
     line.run()
     alarms = {row.kind: row.raised_set_index for row in line.rows("alarms") if row.position == "D"}
@@ -713,29 +717,33 @@ def test_the_baseline_ends_with_the_set_at_its_last_hour(line):
     assert {(row.first_set_index, row.last_set_index, row.n_sets) for row in baselines} == {(0, 7, 8)}
 
 
-def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
+def test_a_dry_run_raises_no_alarm_repeats_no_strike_and_is_marked(line):
     line.script = lambda key: silent("noisy")
     line.run(dry_run=True)
     assert [row for row in line.rows("alarms") if row.position in TRANSDUCERS] == []
     assert {strike[3] for strike in line.instruments[0].struck} == {0}
-    assert told(line, "recorder_started")[0].payload["dry_run"] is True
+    assert events_of(line, "recorder_started")[0].payload["dry_run"] is True
     assert {tuple(shot.flags) for shot in line.rows("shots", "B")} == {("dry_run",)}
 
 
-def test_the_supervisor_is_told_what_is_begun(line):
+def test_the_heartbeat_names_each_activity(line):
     line.run()
-    begun = line.heartbeat.told
-    assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
+    activities = line.heartbeat.told
+    assert (
+        activities.index("taking set 1")
+        < activities.index("storing set 1")
+        < activities.index("taking set 2")
+    )
 
 
-def test_a_recorder_that_waits_gives_signs_of_life(line):
+def test_a_waiting_recorder_sends_heartbeats(line):
     line.run()
-    told = line.heartbeat.told
+    activities = line.heartbeat.told
     waits = [f"waiting for set {index}" for index in range(SETS)]
-    assert [doing for doing in dict.fromkeys(told) if doing in waits] == waits
+    assert [doing for doing in dict.fromkeys(activities) if doing in waits] == waits
 
 
-class Calibrated:
+class CalibratingBoards:
     """Boards that count their self-calibrations."""
 
     def __init__(self, error=None):
@@ -750,20 +758,20 @@ class Calibrated:
 
 @pytest.mark.parametrize(("interval_h", "times"), [(1.0, 6), (2.5, 3), (0.0, 0)])
 def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, times):
-    boards = Calibrated()
+    boards = CalibratingBoards()
     line.run(self_calibrating=boards, self_calibration_interval_h=interval_h)
     assert boards.count == times
-    assert len(told(line, "self_calibrated")) == times
+    assert len(events_of(line, "self_calibrated")) == times
 
 
-def test_a_failed_self_calibration_is_told_and_ends_the_test_only_where_it_can_never_work(line):
-    boards = Calibrated(BusyError("MAX holds the board"))
+def test_a_failed_self_calibration_is_reported_and_ends_the_test_only_if_permanent(line):
+    boards = CalibratingBoards(BusyError("MAX holds the board"))
     line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
-    assert told(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
+    assert events_of(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
     assert states(line, "B") == ["done"] * SETS
 
 
 def test_a_self_calibration_that_can_never_work_ends_the_test(line):
-    boards = Calibrated(ConfigurationError("no such board"))
+    boards = CalibratingBoards(ConfigurationError("no such board"))
     with pytest.raises(RigError, match="self-calibration before set 0 failed: no such board"):
         line.run(self_calibrating=boards, self_calibration_interval_h=24.0)

@@ -1,4 +1,4 @@
-"""A baseline that came out without limits: nobody takes it for one, and a person ends it."""
+"""A baseline without limits: it is not used, and a person renews it."""
 
 import pytest
 from support.memory_line import Line, healthy, memory_settings, silent
@@ -15,7 +15,7 @@ REASON = (
 
 @pytest.fixture(scope="module", params=["automatic", "by_a_person"])
 def line(request, tmp_path_factory):
-    """B lacks a set of its baseline; set 16 is struck while people try to go on all the same."""
+    """Return a line in which B lacks a set of its baseline and commands arrive during set 16."""
     settings = memory_settings(
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
         baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": request.param},
@@ -38,7 +38,7 @@ def line(request, tmp_path_factory):
     return line
 
 
-def test_it_is_not_approved_and_says_what_helps(line):
+def test_a_baseline_without_limits_is_not_approved_and_names_the_remedy(line):
     first, second = line.rows("baselines", "B")
     assert (first.state, first.approved_utc_ns, first.limit_reason) == ("retired", None, REASON)
     assert second.limit_reason is None
@@ -46,14 +46,14 @@ def test_it_is_not_approved_and_says_what_helps(line):
     assert frozen[0]["state"] == "proposed", "nobody approves what judges nothing"
 
 
-def test_its_transducer_is_told_not_to_be_judged(line):
-    for told in line.seen.values():
-        assert (told["state"], told["last_verdict"]["reason"]) == ("not_judged", REASON)
-        assert told["baseline"]["limit_reason"] == REASON
+def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
+    for status in line.seen.values():
+        assert (status["state"], status["last_verdict"]["reason"]) == ("not_judged", REASON)
+        assert status["baseline"]["limit_reason"] == REASON
     assert line.seen.keys() == {"approve_baseline", "confirm", "renew_baseline"}
 
 
-def test_it_is_neither_signed_nor_compared_with(line):
+def test_a_baseline_without_limits_is_neither_approved_nor_used(line):
     with line.catalogue() as catalogue:
         answers = {row.kind: (row.state, row.result) for row in catalogue.rows(CommandRow)}
     assert answers["approve_baseline"] == ("refused", f"the baseline of B has no limits: {REASON}")
@@ -61,12 +61,12 @@ def test_it_is_neither_signed_nor_compared_with(line):
     assert answers["renew_baseline"][0] == "done"
 
 
-def test_an_alarm_says_so_until_it_is_retired(line):
+def test_an_alarm_is_active_until_the_baseline_is_retired(line):
     (row,) = line.rows("alarms")
     assert (row.position, row.kind, row.severity, row.raised_set_index) == ("B", "not_judged", "medium", LAST)
     assert row.message == f"nothing is judged at B: {REASON}"
     history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
-    assert [(told["kind"], told["who"], told["why"]) for told in history] == [
+    assert [(event["kind"], event["who"], event["why"]) for event in history] == [
         ("alarm_raised", None, row.message),
         ("alarm_reset", "Ada", "its baseline was retired: a hold"),
     ]

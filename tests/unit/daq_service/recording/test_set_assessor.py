@@ -1,4 +1,4 @@
-"""What is taken becomes rows and alarms in one transaction, and what a restart knows of it."""
+"""A set becomes rows and alarms in one transaction; the state after a restart."""
 
 import threading
 from contextlib import contextmanager
@@ -36,12 +36,12 @@ def line(tmp_path):
 
 @pytest.fixture(autouse=True)
 def looks_back_in_small_steps(monkeypatch):
-    """A restart reads a year of sets in two looks: here even these few take more than one."""
+    """Limit the read block: a restart reads a year in two blocks, here even a few sets need more than one."""
     monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", (1, 3, 7, None))
 
 
 class Drive:
-    """A corrosion drive that notes its trips and the rows that it is asked for."""
+    """Corrosion supply double that records its trips and the requested rows."""
 
     def __init__(self):
         self.trips, self.rows = [], 0
@@ -54,8 +54,8 @@ class Drive:
 
 
 @contextmanager
-def ledger_of(line):
-    """A ledger that goes on where the line's last recorder stopped."""
+def assessor_of(line):
+    """Return a set assessor that continues after the line's last recorder."""
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         rig = Rig(kind="simulated", clock=None, striker=None, digitizer=None)
@@ -64,15 +64,15 @@ def ledger_of(line):
 
 @contextmanager
 def recorded(line, count):
-    """A folder whose recorder judged so many sets, the records of all, and a ledger that goes on."""
+    """Return a folder with assessed sets, the records of all sets, and a set assessor that continues."""
     line.run()
     records = {record.set_index: (record, file) for file, record in line.shelf.sets.items()}
     again = Line(line.folder.parent / "again", line.settings, line.script, line.shelf)
     again.folder.mkdir()
-    with ledger_of(again) as ledger:
+    with assessor_of(again) as ledger:
         for index in range(count):
             assess_set(ledger, again, *records[index])
-    with ledger_of(again) as ledger:
+    with assessor_of(again) as ledger:
         yield ledger, again, records
 
 
@@ -86,7 +86,7 @@ def assess_set(ledger, line, record, file):
     ledger.commit(ledger.assessed(due, record, file, features))
 
 
-def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
+def test_a_restart_after_any_set_does_not_change_the_assessments(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15},
@@ -111,13 +111,13 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
-        with ledger_of(again) as ledger:  # a new one for every set
+        with assessor_of(again) as ledger:  # a new one for every set
             assess_set(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
 
 
-def renewing(line):
-    """A script in which a person renews B's baseline while set 17 is struck."""
+def renewing_script(line):
+    """Return a script in which a person renews the baseline of B while set 17 is struck."""
     asked = []
 
     def script(key):
@@ -129,12 +129,12 @@ def renewing(line):
     return script
 
 
-def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
+def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
         baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
     )
-    line.listen_every_s, line.script = 0.0, renewing(line)
+    line.listen_every_s, line.script = 0.0, renewing_script(line)
     line.run()
     first, second = line.rows("baselines", "B")
     assert (first.id, first.name, first.state, first.last_set_index) == (2, "B-baseline-1", "retired", 14)
@@ -151,8 +151,8 @@ def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
     assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
     stopped.folder.mkdir()
-    script = renewing(stopped)
-    for set_index in (17, 20, 32, 34):  # before, while and after the successor is learnt
+    script = renewing_script(stopped)
+    for set_index in (17, 20, 32, 34):  # before, during and after the collection of the new baseline
         run_until(stopped, "D", set_index, script)
     stopped.script = script
     stopped.run()
@@ -160,8 +160,8 @@ def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
         assert stopped.rows(name) == line.rows(name)
 
 
-def remembered(line, monkeypatch, looks):
-    """What a restart knows of each transducer, and how many sets it read."""
+def restored_state(line, monkeypatch, looks):
+    """Return the state of each transducer after a restart, and the number of sets read."""
     read = []
 
     def last_rows(self, kind, position, count, **filters):
@@ -171,9 +171,9 @@ def remembered(line, monkeypatch, looks):
 
     found = RecorderCatalogue.last_rows
     monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", looks)
-    with monkeypatch.context() as patched, ledger_of(line) as ledger:
+    with monkeypatch.context() as patched, assessor_of(line) as ledger:
         patched.setattr(RecorderCatalogue, "last_rows", last_rows)
-        with ledger_of(line):
+        with assessor_of(line):
             pass
         states = [ledger._assessors[name]._state for name in "BCD"]
     known = [
@@ -184,7 +184,7 @@ def remembered(line, monkeypatch, looks):
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
-def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, monkeypatch, seed):
+def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatch, seed):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 2},
@@ -200,31 +200,31 @@ def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, mo
 
     line.script = script
     line.run()
-    expected, _ = remembered(line, monkeypatch, (None,))
-    assert remembered(line, monkeypatch, (2, 4, 9, None))[0] == expected
+    expected, _ = restored_state(line, monkeypatch, (None,))
+    assert restored_state(line, monkeypatch, (2, 4, 9, None))[0] == expected
     assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
 
 
-def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch):
+def test_a_restart_restores_an_old_active_alarm(line, monkeypatch):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
         alarms={"k": 2, "n": 3},
     )
-    # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
+    # Two consecutive outliers raise it; one in three neither clears nor raises it.
     line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
     line.run()
-    known, _ = remembered(line, monkeypatch, (4, None))
+    known, _ = restored_state(line, monkeypatch, (4, None))
     assert [alarm.active for alarm, *_ in known] == [True] * 3
 
 
 def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
     line.run()
-    _, most = remembered(line, monkeypatch, (6, None))
+    _, most = restored_state(line, monkeypatch, (6, None))
     assert most == 6
 
 
-def test_a_hole_trips_the_drive_at_once_and_once(line):
+def test_a_hole_trips_the_supply_immediately_and_once(line):
     line.script = lambda key: silent() if key.position == "C" and key.set_index >= 3 else healthy(key)
     with recorded(line, 3) as (ledger, again, records):
         ledger.drive = drive = Drive()
@@ -239,7 +239,7 @@ def test_a_hole_trips_the_drive_at_once_and_once(line):
 
 
 def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
-    """A transfer that breaks off behind the incident wave leaves no reflected one either."""
+    """A transfer that ends after the incident wave has no reflected wave either."""
     random = np.random.default_rng(0)
     volts = Scene(isw_v=1.0).volts() + 0.01 * random.standard_normal(13_000)
     volts[3_000:] = 0.0
@@ -254,7 +254,7 @@ def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
 
 
 def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
-    """Each shot is valid by itself, and all shots of the set are alike."""
+    """Each shot is valid, and all shots of the set agree."""
     residue = {"amplitude_ratio": 0.11, "isw_amplitude_v": 2.0, "isw_fwhm_s": 65e-6}
 
     def script(key):
@@ -269,7 +269,7 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
     assert {(row.position, row.kind) for row in line.alarms()} == {("C", "hole")}
 
 
-def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
+def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
         ledger.reinstated("D")
@@ -278,14 +278,14 @@ def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
 
 
 def ended_after(position, set_index, stop, script, last_shot=3):
-    """A script that has the recorder stopped at the last strike of a transducer in a set."""
+    """Return a script that stops the recorder at the last strike of a transducer in a set."""
 
-    def told(key):
+    def stopping_script(key):
         if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
             stop.set()
         return script(key)
 
-    return told
+    return stopping_script
 
 
 def run_until(line, position, set_index, script):
@@ -294,7 +294,7 @@ def run_until(line, position, set_index, script):
     assert not line.run(stop=stop)
 
 
-def test_a_restart_knows_that_a_transducer_was_reinstated(line):
+def test_a_restart_restores_an_enabled_transducer(line):
     def script(key):
         return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
 
@@ -306,7 +306,7 @@ def test_a_restart_knows_that_a_transducer_was_reinstated(line):
     assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
 
 
-def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
+def test_after_a_restart_a_repeated_shot_does_not_count_for_a_hole(line):
     def script(key):
         if key.position != "B" or key.set_index not in (1, 2):
             return healthy(key)
@@ -322,7 +322,7 @@ def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
 
 
 class ThinningWall:
-    """A pulse-echo unit over a wall that loses the same in every set; no scatter."""
+    """Pulse-echo unit on a wall with a constant loss per set and no scatter."""
 
     echo = EchoParameters(
         element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
@@ -351,7 +351,7 @@ def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
     assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
 
 
-def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
+def test_a_later_echo_is_the_reference_if_the_first_record_is_lost(line, caplog):
     stop = threading.Event()
     line.script = ended_after("D", 5, stop, healthy)
     assert not line.run(stop=stop, pulse_echo=ThinningWall())
@@ -366,7 +366,7 @@ def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
     assert "set 2 stands in for the reference of A" in caplog.text
 
 
-def test_a_start_that_cannot_read_the_first_record_now_takes_no_other(line, monkeypatch):
+def test_a_temporary_read_error_does_not_change_the_reference_echo(line, monkeypatch):
     line.run(pulse_echo=ThinningWall())
 
     def refused(archive, *_):
@@ -417,7 +417,7 @@ def test_every_position_has_a_row_in_every_set(line):
     )
 
 
-def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
+def test_the_rig_alarm_names_a_method_whose_instruments_do_not_respond(line):
     lost = ConnectionLostError("the probe's board is gone")
     line.script = lambda key: lost if key.position == "A" and key.set_index == 2 else healthy(key)
     line.run()
@@ -427,21 +427,21 @@ def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
     assert alarm.state == "returned_unacknowledged"
 
 
-def test_whoever_started_the_test_hears_of_gaps_and_alarms_once_they_are_stored(line):
+def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
     def hole_at_c_and_nothing_once_at_d(key):
         if (key.set_index, key.position) == (3, "D"):
             return None  # no trigger
         return silent() if key.position == "C" and key.set_index >= 5 else healthy(key)
 
     line.script = hole_at_c_and_nothing_once_at_d
-    news = []
+    reports = []
 
-    def tell(event, **values):
+    def report(event, **values):
         if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
-            news.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
+            reports.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
 
-    line.run(tell=tell)
-    gap, alarm = news
+    line.run(tell=report)
+    gap, alarm = reports
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])
     assert gap[1]["cause"] == line.rows("sets", "D")[3].cause

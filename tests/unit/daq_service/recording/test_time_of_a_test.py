@@ -20,11 +20,11 @@ DOWN = "the recorder was down"
 
 
 class Killed(BaseException):
-    """The end of the process."""
+    """End of the process."""
 
 
 class Laboratory:
-    """A line in memory on a machine's clock; each run is another process."""
+    """Line in memory on a machine's clock; each run is another process."""
 
     def __init__(self, line: Line, machine: Machine) -> None:
         self.line, self.machine = line, machine
@@ -53,7 +53,7 @@ class Laboratory:
         return self.line.run(cause=cause, clock=clock, stop=stop)
 
     def killed_after(self, hours: float) -> None:
-        """Run a recorder that is killed so much later."""
+        """Run a recorder that is killed after some hours."""
 
         def kill() -> None:
             raise Killed
@@ -62,8 +62,8 @@ class Laboratory:
         with pytest.raises(Killed):
             self.run()
 
-    def told(self, kind: str) -> list[dict]:
-        """Payloads of the events of a kind, in order."""
+    def event_payloads(self, kind: str) -> list[dict]:
+        """Return the payloads of the events of a kind, in order."""
         return [row.payload for row in self.line.rows("events") if row.kind == kind]
 
     @property
@@ -82,7 +82,7 @@ def laboratory(tmp_path, monkeypatch):
 
 
 def assert_every_set_once_in_order(laboratory, *, missed=()):
-    """Each set has its rows once; those that were taken were begun when they were due, or as late as told."""
+    """Check that each set has its rows once and started when due, or as late as given."""
     for position in "ABCD":
         rows = laboratory.line.rows("sets", position)
         assert [row.set_index for row in rows] == list(range(SETS))
@@ -101,7 +101,7 @@ def assert_every_set_once_in_order(laboratory, *, missed=()):
 
 
 def assert_struck_at(laboratory, hours):
-    """What had elapsed when each set began, from the first one: steps move nothing."""
+    """Check the elapsed time at the start of each set from the first one, which clock steps do not change."""
     first = {shot.set_index: shot for shot in reversed(laboratory.line.rows("shots"))}
     struck_h = [(first[index].mono_ns - first[min(first)].mono_ns) / NS_PER_H for index in sorted(first)]
     assert struck_h == pytest.approx(hours, abs=1e-6)  # the slewing of 6 h at most 1 s: none here
@@ -113,13 +113,13 @@ def test_a_step_moves_no_set_and_is_one_event(laboratory, by_h):
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    (step,) = laboratory.told("clock_step")
+    (step,) = laboratory.event_payloads("clock_step")
     assert step["step_s"] == by_h * 3600.0
     assert step["system_utc_ns"] - step["experiment_utc_ns"] == by_h * NS_PER_H
 
 
 @pytest.mark.parametrize("in_a_set", [False, True])
-def test_400_h_for_6_s_cost_nothing(laboratory, in_a_set):
+def test_a_clock_error_of_400_h_for_6_s_has_no_effect(laboratory, in_a_set):
     begins_h = 2.0 + 20.0 / 3600.0 if in_a_set else 2.2
 
     def set_ahead():
@@ -131,15 +131,15 @@ def test_400_h_for_6_s_cost_nothing(laboratory, in_a_set):
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    assert [step["step_s"] for step in laboratory.told("clock_step")] == [1.44e6, -1.44e6]
-    assert [step["ahead_s"] for step in laboratory.told("clock_step")] == [1.44e6, 0.0]
+    assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, -1.44e6]
+    assert [step["ahead_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, 0.0]
 
 
 def test_a_drift_is_followed_and_no_step(laboratory):
     laboratory.machine.drift_ppm = 100
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == []
+    assert laboratory.event_payloads("clock_step") == []
     assert laboratory.clock.utc_ns() == laboratory.machine.utc_ns
 
 
@@ -148,11 +148,11 @@ def test_a_step_while_no_recorder_ran_is_found_by_the_next_one(laboratory, by_h)
     laboratory.killed_after(2.2)
     laboratory.machine.sleep(600.0)
     laboratory.machine.set_clock(by_h)
-    laboratory.killed_after(1.0)  # and not told again by the one after it
+    laboratory.killed_after(1.0)  # and not reported again by the next one
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    assert [step["step_s"] for step in laboratory.told("clock_step")] == [by_h * 3600.0]
+    assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [by_h * 3600.0]
 
 
 def test_sets_due_while_no_recorder_ran_on_a_stepped_clock_have_their_cause(laboratory):
@@ -182,11 +182,11 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     (alarm,) = laboratory.line.alarms()
     assert (alarm.kind, alarm.family, alarm.state) == ("clock_doubted", "device", "returned_unacknowledged")
     assert "is before what was stored last (2024-01-01T0" in alarm.message
-    assert laboratory.told("clock_step") == []
-    assert [told["ahead_s"] for told in laboratory.told("clock_believed")] == [0.0]
+    assert laboratory.event_payloads("clock_step") == []
+    assert [payload["ahead_s"] for payload in laboratory.event_payloads("clock_believed")] == [0.0]
 
 
-def test_sets_that_went_by_while_the_clock_was_waited_for_say_so(laboratory):
+def test_sets_missed_with_an_unverified_clock_have_that_cause(laboratory):
     laboratory.killed_after(2.2)
     true_ns = laboratory.machine.utc_ns + NS_PER_H  # off for an hour: two sets
     laboratory.machine.start_again(IN_2010_NS)
@@ -248,7 +248,7 @@ def test_a_person_may_trust_a_doubted_clock(laboratory):
     assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
-def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_a_restart(laboratory):
+def test_a_trusted_clock_before_the_last_row_continues_after_that_row(laboratory):
     laboratory.line.listen_every_s = 0.0
     laboratory.killed_after(2.2)
     laboratory.machine.start_again(IN_2010_NS)
@@ -257,12 +257,12 @@ def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_
     laboratory.machine.sleep(60.0)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == []
-    (believed,) = laboratory.told("clock_believed")
+    assert laboratory.event_payloads("clock_step") == []
+    (believed,) = laboratory.event_payloads("clock_believed")
     assert believed["ahead_s"] == pytest.approx(-14 * 365.25 * 86400, rel=0.01)
 
 
-def test_a_recorder_killed_while_it_doubts_leaves_no_time_to_go_on_with(laboratory):
+def test_a_recorder_killed_with_an_unverified_clock_stores_no_time(laboratory):
     laboratory.killed_after(2.2)
     true_ns = laboratory.machine.utc_ns
     laboratory.machine.start_again(IN_2010_NS)
@@ -270,7 +270,7 @@ def test_a_recorder_killed_while_it_doubts_leaves_no_time_to_go_on_with(laborato
     laboratory.machine.utc_ns = true_ns + 6 * 60 * NS_PER_S
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory)
-    assert laboratory.told("clock_step") == laboratory.told("clock_believed") == []
+    assert laboratory.event_payloads("clock_step") == laboratory.event_payloads("clock_believed") == []
     assert [row.state for row in laboratory.line.alarms()] == ["returned_unacknowledged"]
 
 
@@ -288,22 +288,22 @@ def test_a_stop_while_the_clock_is_doubted_leaves_every_set_due(laboratory):
     assert_every_set_once_in_order(laboratory)
 
 
-def test_sets_that_a_sleeping_computer_missed_say_so(laboratory):
+def test_sets_missed_during_sleep_have_that_cause(laboratory):
     laboratory.machine.after(2.2, lambda: laboratory.machine.sleep(1.2 * 3600.0))
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4])
     assert laboratory.line.rows("sets", "B")[4].cause == OVERSLEPT
-    assert laboratory.told("clock_step") == []
+    assert laboratory.event_payloads("clock_step") == []
 
 
-def test_no_strike_of_a_set_is_early_or_late_for_a_step_within_it(laboratory):
+def test_a_clock_step_within_a_set_moves_no_strike(laboratory):
     key = ShotKey(position="C", set_index=3, shot_index=2)
     times_h = iter([1.0, -2.0, 400.0])
 
-    def script(asked):
-        if asked == key:
+    def script(key_of_shot):
+        if key_of_shot == key:
             laboratory.machine.set_clock(next(times_h, 0.0))
-        return healthy(asked)
+        return healthy(key_of_shot)
 
     laboratory.line.script = script
     assert laboratory.run()

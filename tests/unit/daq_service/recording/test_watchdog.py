@@ -1,4 +1,4 @@
-"""The service manager's watchdog is fed by the recording line, and starves when the line hangs."""
+"""The recording line feeds the watchdog of the service manager, and stops when the line hangs."""
 
 import os
 import socket
@@ -24,7 +24,7 @@ HANGS_S = 10 * DEADLINE_S
 
 
 class Manager:
-    """A service manager's end of the notify socket; notes what comes and when, on the machine's time."""
+    """Service manager's end of the notify socket; records messages with the machine's time."""
 
     def __init__(self, channel: socket.socket, machine: Machine) -> None:
         self.channel, self.machine = channel, machine
@@ -42,8 +42,8 @@ class Manager:
         return [at_s for at_s, lines in self.heard if assignment in lines]
 
 
-class HeardMachine(Machine):
-    """A machine whose service manager listens whenever somebody sleeps."""
+class ListeningMachine(Machine):
+    """Machine whose service manager listens during each sleep."""
 
     manager: Manager
 
@@ -64,14 +64,14 @@ def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
         channel.setblocking(False)
         monkeypatch.setenv("NOTIFY_SOCKET", address)
         monkeypatch.setattr(wall, "IDLE_INTERVAL_S", DEADLINE_S / 2)
-        machine = HeardMachine(parse_utc("2024-01-01T00:00:00Z"))
+        machine = ListeningMachine(parse_utc("2024-01-01T00:00:00Z"))
         machine.manager = Manager(channel, machine)
         yield machine.manager
 
 
 def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tuple[str, str]]:
-    """Run a line in real time on the manager's machine; every event that it told, with what it did."""
-    machine, told, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
+    """Run a line in real time on the manager's machine; return every event with its activity."""
+    machine, events, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
 
     def script(key: ShotKey):
         manager.hear()
@@ -79,41 +79,41 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
             hung.append(key)
             machine.elapsed_ns += round(HANGS_S * NS_PER_S)
             machine.utc_ns += round(HANGS_S * NS_PER_S)
-            manager.hear()  # whatever was sent meanwhile counts as sent now
+            manager.hear()  # messages sent meanwhile count as sent now
         return healthy(key)
 
-    def tell(event: str, **values: object) -> None:
-        told.append((event, str(values.get("doing", ""))))
+    def report(event: str, **values: object) -> None:
+        events.append((event, str(values.get("doing", ""))))
 
     settings = memory_settings(
         clock={"kind": "wall"}, schedule={"phases": [{"until_h": 1.0, "interval_h": 0.5}]}
     )
     clock = machine.clock()
-    with service_manager_notifications(tell) as told_too:
+    with service_manager_notifications(report) as report_and_notify:
         heartbeat = Heartbeat(
             folder,
             deadline_s=DEADLINE_S,
-            tell=told_too,
+            tell=report_and_notify,
             mono_ns=lambda: machine.elapsed_ns,
             boot=lambda: "it",
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")
-        assert line.run(clock=clock, tell=told_too)
+        assert line.run(clock=clock, tell=report_and_notify)
         manager.hear()
     manager.hear()
-    return told
+    return events
 
 
-def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> None:
-    told = run(manager, tmp_path)
-    beats = [doing for event, doing in told if event == "beat"]
-    (_, opening), (_, begun), *later, (_, stopping) = manager.heard
+def test_each_beat_of_the_line_feeds_the_watchdog(manager: Manager, tmp_path: Path) -> None:
+    events = run(manager, tmp_path)
+    beats = [doing for event, doing in events if event == "beat"]
+    (_, opening), (_, ready), *later, (_, stopping) = manager.heard
     lasts = f"EXTEND_TIMEOUT_USEC={DEADLINE_S * 1e6:.0f}"
     assert opening == ["WATCHDOG=1", lasts, "STATUS=opening the rig"], (
         "not ready yet, and it may take its time"
     )
-    assert begun == ["READY=1"]
+    assert ready == ["READY=1"]
     assert [lines for _, lines in later] == [
         ["READY=1", "WATCHDOG=1", lasts, f"STATUS={doing}"] for doing in beats[1:]
     ]
@@ -123,14 +123,16 @@ def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> Non
     assert max(after - before for before, after in pairwise(times_s)) <= DEADLINE_S
 
 
-def test_it_starves_while_the_line_hangs(manager: Manager, tmp_path: Path) -> None:
+def test_a_hanging_line_does_not_feed_the_watchdog(manager: Manager, tmp_path: Path) -> None:
     run(manager, tmp_path, hang=ShotKey(position="C", set_index=1, shot_index=2))
     gaps_s = [after - before for before, after in pairwise(manager.times_s("WATCHDOG=1"))]
     assert max(gaps_s) >= HANGS_S
     assert sum(gap_s > DEADLINE_S for gap_s in gaps_s) == 1
 
 
-def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_notification_is_sent_without_a_service_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     notify("WATCHDOG=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
@@ -138,12 +140,12 @@ def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: py
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_done_is_told_in_one_line() -> None:
+def test_the_activity_is_sent_in_one_line() -> None:
     sent: list[tuple[str, ...]] = []
     with service_manager_notifications(
         lambda event, **values: None, lambda *lines: sent.append(lines)
-    ) as tell:
-        tell("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
+    ) as report:
+        report("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
     assert sent[0] == (
         "WATCHDOG=1",
         "EXTEND_TIMEOUT_USEC=1500000",
@@ -154,7 +156,7 @@ def test_what_is_done_is_told_in_one_line() -> None:
 def test_a_manager_of_another_program_is_sent_nothing(
     manager: Manager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A shell that a service started (Jupyter, tmux) hands its notify socket on."""
+    """A shell of a service (Jupyter, tmux) passes its notify socket on."""
     monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
     notify("STOPPING=1")
     monkeypatch.setenv("SYSTEMD_EXEC_PID", str(os.getpid()))

@@ -1,4 +1,4 @@
-"""A data folder as a recording: read set by set, damage and all, never written to."""
+"""A data folder as a recording: read set by set, with corruption, never written."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -50,7 +50,7 @@ def test_every_record_is_found_to_the_last_bit(tmp_path):
 
 
 def hours_later(record, hours):
-    """The records of a set at a later time."""
+    """Return the records of a set at a later time."""
 
     def moved(item):
         stamp = replace(item.stamp, utc_ns=item.stamp.utc_ns + hours * HOUR_NS)
@@ -73,15 +73,15 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
     stored(tmp_path, first, later)
     source = ArchivedShots(FolderSetReader(tmp_path))
     wanted = sorted(
-        {one.started_utc_ns for one in (first, later)}
-        | {record.stamp.utc_ns for one in (first, later) for record in one.records}
+        {item.started_utc_ns for item in (first, later)}
+        | {record.stamp.utc_ns for item in (first, later) for record in item.records}
     )
     found, moment = [], source.next_moment(0)
     while moment is not None:
         found.append(moment)
         moment = source.next_moment(moment)
     assert found == wanted
-    # Asked anew from the middle, nothing before is needed.
+    # A new read from the middle needs nothing before it.
     again = ArchivedShots(FolderSetReader(tmp_path))
     assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
@@ -94,7 +94,7 @@ def test_a_position_that_was_retired_at_first_is_known_from_the_configuration(tm
     assert ArchivedShots(FolderSetReader(tmp_path)).positions["E"] == "pulse_echo"
 
 
-def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tmp_path):
+def test_a_corrupt_record_is_a_missed_strike_with_its_reason(tmp_path):
     shots = [make_shot("B", index, 1 + index, n_samples=2000) for index in range(3)]
     record = SetRecord(
         set_index=SET_INDEX,
@@ -127,7 +127,7 @@ def second_chunk(path):
         return chunk.byte_offset + chunk.size // 2
 
 
-def test_a_destroyed_file_costs_its_set_only(tmp_path):
+def test_a_corrupt_file_costs_only_its_set(tmp_path):
     first, second = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     first.write_bytes(b"no HDF5 at all")
     source = ArchivedShots(FolderSetReader(tmp_path))
@@ -157,7 +157,7 @@ def test_a_folder_without_sets_is_refused(tmp_path):
         raise AssertionError("opened")
 
 
-def test_what_was_missed_was_tried_but_a_damaged_set_does_not_say(tmp_path):
+def test_missed_strikes_are_known_except_for_a_corrupt_set(tmp_path):
     first, _ = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     key = ShotKey(position="D", set_index=SET_INDEX + 1, shot_index=0, attempt=1)
     source = ArchivedShots(FolderSetReader(tmp_path))
@@ -190,7 +190,7 @@ def test_faults_of_labview_files_are_usage_errors_and_files_are_closed(tmp_path)
     path = write_set(tmp_path, SET_INDEX, [shot])
     with open_recording(parameters, tmp_path) as source:
         assert source.find(shot.key).waveform.counts.tobytes() == shot.waveform.counts.tobytes()
-    # Only Linux tells; on Windows removing an open file fails.
+    # Only Linux shows it; on Windows the removal of an open file fails.
     still_open = [entry.readlink() for entry in Path("/proc/self/fd").glob("[0-9]*") if entry.is_symlink()]
     assert path not in still_open
     path.unlink()
@@ -212,9 +212,9 @@ def test_a_rig_refuses_positions_that_were_not_recorded(tmp_path):
 
         with pytest.raises(UsageError, match=r"does not fit the configuration: .*position 'E'"):
             rig({"E": "solitary_wave"})
-        made = rig({"B": "solitary_wave", "A": "pulse_echo"}, recorded_times=True)
-        assert made.identity == {"recording": "here"}
+        opened_rig = rig({"B": "solitary_wave", "A": "pulse_echo"}, recorded_times=True)
+        assert opened_rig.identity == {"recording": "here"}
         # The second shot of B was recorded 1 ns past its planned time.
-        assert made.clock is not None
-        made.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
-        assert made.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001
+        assert opened_rig.clock is not None
+        opened_rig.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
+        assert opened_rig.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001

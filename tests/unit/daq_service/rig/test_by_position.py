@@ -1,4 +1,4 @@
-"""A shot goes to the instruments of its position; making safe reaches every one of them."""
+"""A shot uses the instruments of its position; the safe state is set at all of them."""
 
 from dataclasses import dataclass, field
 
@@ -11,20 +11,20 @@ from hardware_drivers.measurement import ShotKey
 
 
 @dataclass(eq=False)
-class Part:
-    """A striker and digitizer that notes what it is told, and may fail."""
+class InstrumentDouble:
+    """Striker and digitizer double that records its calls and may fail."""
 
     name: str
-    told: list[str]
+    calls: list[str]
     asking: PersonRequests = field(default_factory=PersonRequests)
     gone: bool = False
 
     def strike(self, key: ShotKey) -> None:
-        self.told.append(f"{self.name} strikes {key.position}")
+        self.calls.append(f"{self.name} strikes {key.position}")
         self.asking.ask(f"strike {key.position} now")
 
     def arm(self, key: ShotKey) -> None:
-        self.told.append(f"{self.name} arms {key.position}")
+        self.calls.append(f"{self.name} arms {key.position}")
 
     def read(self, timeout_s: float) -> Acquired:
         raise AcquisitionTimeoutError(f"{self.name} heard nothing")
@@ -36,7 +36,7 @@ class Part:
         self._off("disarmed")
 
     def _off(self, what: str) -> None:
-        self.told.append(f"{self.name} {what}")
+        self.calls.append(f"{self.name} {what}")
         if self.gone:
             raise ConnectionLostError(f"{self.name} is gone")
 
@@ -46,30 +46,30 @@ def key(position: str) -> ShotKey:
 
 
 @pytest.fixture
-def told() -> list[str]:
+def calls() -> list[str]:
     return []
 
 
 @pytest.mark.parametrize("gone", ["one", "other", "both"])
-def test_every_striker_is_made_safe_once_whatever_another_says(told: list[str], gone: str) -> None:
-    one, other = (Part(name, told, gone=gone in (name, "both")) for name in ("one", "other"))
-    strikers = Strikers({"B": one, "C": other, "D": one}, PersonRequests())
+def test_every_striker_is_made_safe_once_even_if_another_fails(calls: list[str], gone: str) -> None:
+    first, second = (InstrumentDouble(name, calls, gone=gone in (name, "both")) for name in ("one", "other"))
+    strikers = Strikers({"B": first, "C": second, "D": first}, PersonRequests())
     with pytest.raises(ConnectionLostError):
         strikers.make_safe()
-    assert sorted(told) == ["one safe", "other safe"]
+    assert sorted(calls) == ["one safe", "other safe"]
 
 
-def test_every_digitizer_is_disarmed(told: list[str]) -> None:
-    one, other = Part("one", told, gone=True), Part("other", told)
+def test_every_digitizer_is_disarmed(calls: list[str]) -> None:
+    one, other = InstrumentDouble("one", calls, gone=True), InstrumentDouble("other", calls)
     with pytest.raises(ConnectionLostError, match="one is gone"):
         Digitizers({"B": one, "C": other}, PersonRequests()).disarm()
-    assert sorted(told) == ["one disarmed", "other disarmed"]
+    assert sorted(calls) == ["one disarmed", "other disarmed"]
 
 
-def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(told: list[str]) -> None:
+def test_the_request_of_a_striker_ends_with_the_read_of_its_shot(calls: list[str]) -> None:
     asking, heard = PersonRequests(), list[tuple[str, ShotKey | None]]()
     asking.listen(lambda text, about: heard.append((text, about)))
-    part = Part("one", told, asking)
+    part = InstrumentDouble("one", calls, asking)
     digitizers, strikers = Digitizers({"B": part}, asking), Strikers({"B": part}, asking)
     digitizers.arm(key("B"))
     strikers.strike(key("B"))
@@ -81,8 +81,10 @@ def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(told: list
     assert heard[2:] == [("strike B now", key("B")), ("", key("B"))], "a strike that failed is asked no more"
 
 
-def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
-    digitizers = Digitizers({"B": Part("one", told), "C": Part("other", told)}, PersonRequests())
+def test_one_digitizer_is_armed_at_a_time(calls: list[str]) -> None:
+    digitizers = Digitizers(
+        {"B": InstrumentDouble("one", calls), "C": InstrumentDouble("other", calls)}, PersonRequests()
+    )
     with pytest.raises(ConfigurationError, match="not armed"):
         digitizers.read(1.0)
     digitizers.arm(key("B"))
@@ -90,8 +92,8 @@ def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
         digitizers.arm(key("C"))
 
 
-def test_a_position_that_nobody_serves_is_refused(told: list[str]) -> None:
-    strikers = Strikers({"B": Part("one", told)}, PersonRequests())
+def test_a_position_without_a_striker_is_rejected(calls: list[str]) -> None:
+    strikers = Strikers({"B": InstrumentDouble("one", calls)}, PersonRequests())
     with pytest.raises(
         ConfigurationError, match=r"no striker at position 'C'; there are: B; name one in \[rig"
     ):

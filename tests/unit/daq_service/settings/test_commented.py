@@ -1,4 +1,4 @@
-"""A configuration that explains itself holds exactly the values that it was given."""
+"""A commented configuration has exactly the given values."""
 
 import math
 import tomllib
@@ -27,7 +27,7 @@ VALUES = st.recursive(
 
 
 def same(one: Any, other: Any) -> bool:
-    """Equal in value and in type; NaN equals itself, -0.0 is not 0.0."""
+    """Return whether values and types are equal; NaN equals itself, -0.0 is not 0.0."""
     if isinstance(one, dict) and isinstance(other, dict):
         return list(one.keys() ^ other.keys()) == [] and all(same(one[key], other[key]) for key in one)
     if isinstance(one, list) and isinstance(other, list):
@@ -42,7 +42,7 @@ def same(one: Any, other: Any) -> bool:
 
 @settings(max_examples=100, deadline=None)
 @given(values=st.dictionaries(NAMES, VALUES, max_size=4))
-def test_what_is_written_is_read_again(values: dict[str, Any]) -> None:
+def test_a_written_configuration_reads_back_equal(values: dict[str, Any]) -> None:
     assert same(tomllib.loads(commented_toml(values, head="Some words\n\nand more")), values)
 
 

@@ -1,4 +1,4 @@
-"""A folder that an earlier version began goes on: what was hashed then hashes alike now."""
+"""A folder of an earlier version continues: its configuration hash has not changed."""
 
 from pathlib import Path
 from typing import Any
@@ -57,5 +57,5 @@ def test_the_shipped_twin_keeps_its_hash() -> None:
     assert load_settings(None, overrides=BY_SETS).configuration_hash().startswith("4c5c6748c413e20d")
 
 
-def test_what_raises_alarms_is_part_of_the_hash() -> None:
+def test_alarm_settings_are_part_of_the_hash() -> None:
     assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()

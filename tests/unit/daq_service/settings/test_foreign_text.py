@@ -1,4 +1,4 @@
-"""Texts of other people at a terminal, in a log and in a spreadsheet."""
+"""Foreign texts at a terminal, in a log and in a spreadsheet."""
 
 import csv
 import io
@@ -48,15 +48,15 @@ def test_no_control_character_reaches_a_terminal(capsys, monkeypatch):
         print(EVIL)
         print(EVIL, file=sys.stderr)
         click.echo("\rset 3 of 4", err=True)
-    told = capsys.readouterr()
-    assert told.out == "a\\x1b[2J\\x07\\x9b1m\\u202e\\r\nFORGED\n"
-    assert told.err == f"{told.out}\rset 3 of 4\n"
+    printed = capsys.readouterr()
+    assert printed.out == "a\\x1b[2J\\x07\\x9b1m\\u202e\\r\nFORGED\n"
+    assert printed.err == f"{printed.out}\rset 3 of 4\n"
     monkeypatch.setattr(sys, "argv", ["solimon", "features", f"{EVIL}.npy"])
     with pytest.raises(SystemExit):
         main()
-    told = capsys.readouterr()
-    assert "\\x07" in told.err
-    assert "\x1b" not in told.out + told.err
+    printed = capsys.readouterr()
+    assert "\\x07" in printed.err
+    assert "\x1b" not in printed.out + printed.err
 
 
 def test_an_event_of_a_running_test_is_one_line(capsys):

@@ -1,4 +1,4 @@
-"""The shipped laboratory.toml: complete, loadable, and safe to read as it is."""
+"""The shipped laboratory.toml is complete, loadable, and safe."""
 
 import tomllib
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ def load(folder: Path, text: str) -> Settings:
 
 
 def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
-    """Keys of a table of parameters that the file does not write down, its own tables included."""
+    """Return the keys of a parameter table that the file lacks, nested tables included."""
     if isinstance(value, Mapping):
         return [
             key
@@ -47,7 +47,7 @@ def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
 
 
 @pytest.mark.parametrize("text", [TEXT, WITH_EVERYTHING], ids=["as shipped", "with everything"])
-def test_it_is_accepted(text: str, tmp_path: Path) -> None:
+def test_the_shipped_configuration_is_accepted(text: str, tmp_path: Path) -> None:
     settings = load(tmp_path, text)
     assert settings.rig.kind == "daqmx"
     assert settings.names_of("solitary_wave") == ["B", "C", "D"]
@@ -62,8 +62,8 @@ def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
     assert [key for name in tables for key in missing_keys(given[name], getattr(rig, name), name)] == []
 
 
-def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
-    """The check above can fail."""
+def test_a_missing_key_is_detected(tmp_path: Path) -> None:
+    """This shows that the check above can fail."""
     text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
     assert missing_keys(given["daqmx"], rig.daqmx, "daqmx") == [
@@ -72,8 +72,8 @@ def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
     ]
 
 
-def test_the_other_tables_say_what_the_paper_s_experiment_says(tmp_path: Path) -> None:
-    """The laboratory's file and the twin's plan and judge alike; only the instruments differ."""
+def test_the_other_tables_have_the_values_of_the_paper(tmp_path: Path) -> None:
+    """The files of laboratory and twin differ only in the instruments."""
     laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):
         assert getattr(laboratory, table) == getattr(simulated, table), table
@@ -96,7 +96,7 @@ def test_each_coil_has_the_home_terminal_of_its_counter() -> None:
     assert boards["watchdog"]["lines"] == [f"port2/line{4 + number}" for number in numbers]
 
 
-def test_what_only_the_laboratory_knows_is_refused_all_at_once() -> None:
+def test_all_placeholders_are_rejected_together() -> None:
     unknown = [
         "rig.daqmx.transducers.B.board_serial: Serial number of the digitizer board",
         "rig.daqmx.transducers.C.board_serial: Serial number of the digitizer board",
@@ -111,11 +111,11 @@ def test_what_only_the_laboratory_knows_is_refused_all_at_once() -> None:
         load_settings(file)
     first, *lines, last = str(refused.value).splitlines()
     assert first == f"{file} is not finished; still PLACEHOLDER:"
-    assert [line.strip()[: len(words)] for line, words in zip(lines, unknown, strict=True)] == unknown
+    assert [line.strip()[: len(expected)] for line, expected in zip(lines, unknown, strict=True)] == unknown
     assert last == f"Fill them in and run `solimon check-config {file}`."
 
 
-def test_a_placeholder_in_a_list_is_one(tmp_path: Path) -> None:
+def test_a_placeholder_in_a_list_is_recognized(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"still PLACEHOLDER:\n  rig\.supply\.setup_commands"):
         load(tmp_path, TEXT.replace("setup_commands = []", 'setup_commands = ["PLACEHOLDER"]'))
 
@@ -130,7 +130,7 @@ def test_the_environment_may_fill_in(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert supply.identity == "MAKER,MODEL,1"
 
 
-def test_a_rehearsal_is_one_variable_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_variable_makes_a_dry_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert load(tmp_path, TEXT).rig.daqmx.dry_run is False
     monkeypatch.setenv("SOLIMON_RIG__DAQMX__DRY_RUN", "true")
     rehearsal = load(tmp_path, TEXT)

@@ -1,4 +1,4 @@
-"""A rig of several instruments: each position is served, each instrument used, a refusal names its key."""
+"""A rig of several instruments: each position is served, each instrument used, an error names its key."""
 
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,7 @@ def load(folder: Path, text: str) -> Settings:
     return load_settings(path)
 
 
-def test_each_instrument_knows_what_it_serves_and_has_its_defaults(tmp_path: Path) -> None:
+def test_each_instrument_has_its_positions_and_defaults(tmp_path: Path) -> None:
     settings = load(tmp_path, GOOD)
     boards, scope = instruments_of(settings)
     assert boards.serves == {"digitizer": ("B",), "striker": ("B", "C")}
@@ -104,7 +104,7 @@ def test_each_instrument_knows_what_it_serves_and_has_its_defaults(tmp_path: Pat
         ('kind = "daqmx"', 'kind = "daqmx"\nholdoff_s = 0.01', "holdoff_s is 0.01 s, but transducers.C has "),
     ],
 )  # fmt: skip
-def test_what_cannot_work_is_refused_with_key_and_remedy(
+def test_an_invalid_instrument_is_rejected_with_key_and_remedy(
     old: str, new: str, complaint: str, tmp_path: Path
 ) -> None:
     assert old in GOOD
@@ -126,7 +126,7 @@ def test_two_instruments_of_one_kind_are_two(tmp_path: Path) -> None:
     assert [item.name for item in instruments_of(settings)] == ["boards", "scope", "second"]
 
 
-def test_how_an_instrument_is_reached_is_no_part_of_what_is_measured(tmp_path: Path) -> None:
+def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path: Path) -> None:
     first = load(tmp_path, GOOD)
     moved = load(tmp_path, GOOD.replace("range_v = 5.0", 'range_v = 5.0\naddress = "lan"'))
     other = load(tmp_path, GOOD.replace("range_v = 5.0", "range_v = 10.0"))
@@ -188,7 +188,7 @@ def test_a_drive_that_cannot_work_is_refused(old: str, new: str, complaint: str,
         load(tmp_path, GOOD + PSU.replace(old, new))
 
 
-def test_the_schema_that_is_printed_knows_the_kinds_that_are_installed() -> None:
+def test_the_printed_schema_has_the_installed_kinds() -> None:
     schema = schema_with_kinds()
     kinds = {
         choice["then"]["properties"]["kind"]["const"]: choice["then"]

@@ -1,4 +1,4 @@
-"""Receivers and rules in the configuration: what is refused, and what no refusal ever repeats."""
+"""Receivers and rules in the configuration: rejected values, and secrets that no error repeats."""
 
 from pathlib import Path
 from typing import Any, get_args
@@ -15,8 +15,8 @@ DUTY = {"url": "https://alarms.example.org/hook", "secret_file": "duty.secret"}
 HIDDEN = "correct-horse-battery-staple"
 
 
-def settings(path: Path, receiver: dict[str, Any], **beside: Any) -> Settings:
-    values = {"notifications": {"receivers": {"duty": receiver}, **beside}}
+def settings(path: Path, receiver: dict[str, Any], **others: Any) -> Settings:
+    values = {"notifications": {"receivers": {"duty": receiver}, **others}}
     return checked_settings(values, path / "test.toml")
 
 
@@ -27,12 +27,12 @@ def test_files_count_from_the_configuration_and_severities_are_those_of_alarms(t
     assert get_args(Severity) == SEVERITIES
 
 
-def test_who_is_told_changes_no_test(tmp_path):
+def test_receivers_do_not_change_the_configuration_hash(tmp_path):
     assert settings(tmp_path, DUTY).configuration_hash() == Settings().configuration_hash()
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"url": "http://alarms.example.org/hook"}, "http:// to alarms.example.org.*plain_http = true"),
         ({"url": f"https://ann:{HIDDEN}@alarms.example.org/"}, "holds a name or a password; take them out"),
@@ -53,34 +53,34 @@ def test_who_is_told_changes_no_test(tmp_path):
         ({"heartbeat_s": 1.0}, "greater than or equal to 10"),
     ],
 )
-def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(changed, told, tmp_path):
-    with pytest.raises(UsageError, match=told) as refusal:
+def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(changed, message, tmp_path):
+    with pytest.raises(UsageError, match=message) as refusal:
         settings(tmp_path, DUTY | changed)
     assert HIDDEN not in str(refusal.value)
 
 
-def test_plain_http_is_for_this_machine_or_asked_for_by_name(tmp_path):
+def test_plain_http_is_accepted_for_this_machine_or_with_plain_http(tmp_path):
     for url, allowed in (("http://127.0.0.1:8000/", False), ("http://alarms.example.org/", True)):
-        made = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
-        assert made.notifications.receivers["duty"].url == url
+        checked = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
+        assert checked.notifications.receivers["duty"].url == url
 
 
-def test_every_kind_of_receiver_may_have_heartbeat_messages_and_none_has_them_unasked(tmp_path):
+def test_every_kind_of_receiver_can_have_heartbeats_which_are_off_by_default(tmp_path):
     mail = {"kind": "apprise", "url_env": "MAIL"}
     for receiver, wanted in ((DUTY, 10.0), (mail, 3600.0)):
         for given in ({}, {"heartbeat_s": wanted}):
-            (made,) = settings(tmp_path, receiver | given).notifications.receivers.values()
-            assert made.heartbeat_s == given.get("heartbeat_s")
+            (checked,) = settings(tmp_path, receiver | given).notifications.receivers.values()
+            assert checked.heartbeat_s == given.get("heartbeat_s")
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "message"),
     [
         ({"receivers": ["night"]}, "rule 1 names the receiver 'night'; there are duty"),
         ({"positions": ["Z"]}, "there is no position 'Z'; the positions are A, B, C, D"),
         ({"severity": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
     ],
 )
-def test_a_rule_names_what_there_is(rule, told, tmp_path):
-    with pytest.raises(UsageError, match=told):
+def test_a_rule_with_unknown_names_is_rejected(rule, message, tmp_path):
+    with pytest.raises(UsageError, match=message):
         settings(tmp_path, DUTY, rules=[rule])

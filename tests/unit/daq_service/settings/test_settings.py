@@ -60,7 +60,7 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "fragments"),
     [
         ("[[chain.spheres]]\nbody = 1\nradius_m = 0.0", ["chain.spheres", "radius_m", "greater than 0"]),
         ("[[chain.spheres]]\nbody = 9", ["chain", "body 9", "bodies 0 to 8"]),
@@ -89,16 +89,16 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
         ("[chain", ["not valid toml"]),
     ],
 )
-def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, fragments: list[str]) -> None:
     path = write(tmp_path, text)
     with pytest.raises(UsageError) as refusal:
         load_settings(path)
-    for word in [str(path), *words]:
-        assert word in str(refusal.value)
+    for fragment in [str(path), *fragments]:
+        assert fragment in str(refusal.value)
     assert refusal.value.exit_code == 2
 
 
-def test_an_inherited_mistake_is_told_once(tmp_path: Path) -> None:
+def test_an_inherited_error_is_reported_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as refusal:
         load_settings(write(tmp_path, "[chain]\nmass_kg = -1"))
     assert str(refusal.value).count("mass_kg") == 1
@@ -134,7 +134,7 @@ def test_a_written_configuration_is_read_back_as_the_same(tmp_path: Path) -> Non
     assert load_settings(path) == settings
 
 
-def test_the_hash_changes_with_what_the_data_depend_on_and_with_nothing_else() -> None:
+def test_the_hash_depends_only_on_settings_that_affect_the_data() -> None:
     same = load_settings(
         None,
         overrides={
@@ -156,13 +156,16 @@ def test_without_a_holdoff_a_rig_has_the_hash_it_had_before_there_was_one() -> N
         rig = {"kind": "daqmx", "daqmx": {**boards, **changes}}
         return Settings(rig=rig, positions={"B": {"method": "solitary_wave"}}, clock={"kind": "wall"})
 
-    without, held = settings_with(), settings_with(holdoff_s=10e-3)
+    without, with_holdoff = settings_with(), settings_with(holdoff_s=10e-3)
     measured = without.measured()["rig"]["daqmx"]
     assert "pulse_s" in measured
     assert not {"holdoff_s", "ringing_s"} & set(measured)
-    assert held.measured()["rig"]["daqmx"] == {**measured, "holdoff_s": 10e-3}
-    assert held.configuration_hash() != without.configuration_hash()
-    assert settings_with(holdoff_s=10e-3, ringing_s=5e-3).configuration_hash() == held.configuration_hash()
+    assert with_holdoff.measured()["rig"]["daqmx"] == {**measured, "holdoff_s": 10e-3}
+    assert with_holdoff.configuration_hash() != without.configuration_hash()
+    assert (
+        settings_with(holdoff_s=10e-3, ringing_s=5e-3).configuration_hash()
+        == with_holdoff.configuration_hash()
+    )
 
 
 @pytest.mark.parametrize("position", ["Z", "A"])
@@ -186,7 +189,7 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kinds", "told"),
+    ("kinds", "message"),
     [
         ({"hole": {"on_delay_s": 60.0}}, r"'hole' has neither delays nor .*these have: wall_change"),
         ({"supply_lost": {"on_delay_s": 60.0}}, r"supply_lost.on_delay_s is 60 s; .*at most 10 s"),
@@ -198,13 +201,15 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
         ({"thickness": {"dead_band_m": 1e-4}}, r"thickness.dead_band_m: unknown key; did you mean dead"),
     ],
 )
-def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(kinds, told, tmp_path) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
+    kinds, message, tmp_path
+) -> None:
+    with pytest.raises(UsageError, match=message):
         checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
 
 
-def test_delays_of_alarms_change_no_test() -> None:
-    """They may be changed while it runs: what is measured stays the same."""
+def test_alarm_delays_do_not_change_the_configuration_hash() -> None:
+    """They may be changed during a test, as the measurements stay the same."""
     kinds = {"thickness": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})
     assert settings.configuration_hash() == Settings().configuration_hash()

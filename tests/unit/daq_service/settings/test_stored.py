@@ -1,4 +1,4 @@
-"""A stored configuration means what today's does, or the keys that differ are named."""
+"""A stored configuration has the meaning of the present one, or the different keys are named."""
 
 import copy
 import json
@@ -15,20 +15,20 @@ from daq_service.settings.tree import NoveltySettings, Settings
 NOW = Settings()
 
 
-def kept() -> dict[str, Any]:
-    """What a folder of today's default test keeps."""
+def stored_configuration() -> dict[str, Any]:
+    """Return what a folder of the present default test stores."""
     return NOW.model_dump(mode="json")
 
 
-def test_what_this_version_stores_is_what_it_reads() -> None:
-    assert differences(kept(), NOW) == []
+def test_a_stored_configuration_of_this_version_has_no_differences() -> None:
+    assert differences(stored_configuration(), NOW) == []
 
 
 def test_a_key_that_came_later_counts_with_its_default() -> None:
-    before = kept()
+    before = stored_configuration()
     del before["quality"], before["plate"]["contact"]
-    for place in before["positions"].values():
-        del place["plate"]["contact"]
+    for position in before["positions"].values():
+        del position["plate"]["contact"]
     assert differences(before, NOW) == []
     assert differences(before, Settings(plate={"contact": "patch"})) == [
         'plate.contact began with "node", is "patch" now'
@@ -36,7 +36,7 @@ def test_a_key_that_came_later_counts_with_its_default() -> None:
 
 
 def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before() -> None:
-    before = kept()
+    before = stored_configuration()
     del before["alarms"]["decides_by"]
     unchanged = copy.deepcopy(before)
     assert differences(before, NOW) == ['alarms.decides_by began with "k_of_n", is "chart" now']
@@ -51,21 +51,25 @@ def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path)
     file = tmp_path / "mine.json"
     file.write_text(json.dumps({"schedule": {"shots_per_set": 9}}), encoding="utf-8")
     assert load_settings(file).alarms.decides_by == "chart"
-    before = kept()
+    before = stored_configuration()
     del before["alarms"]["decides_by"]
     file.write_text(json.dumps(before), encoding="utf-8")
     assert load_settings(file).alarms.decides_by == "k_of_n"
 
 
-def test_who_is_told_of_alarms_may_change_from_start_to_start() -> None:
+def test_the_receivers_of_alarms_may_change_between_starts() -> None:
     duty = {"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET"}
-    told = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
+    with_receivers = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
     other = Settings(notifications={"receivers": {"night": duty}, "rules": [{"receivers": ["night"]}]})
-    before = kept()
+    before = stored_configuration()
     del before["notifications"]
-    for stored_, given in ((kept(), told), (before, told), (told.model_dump(mode="json"), other)):
+    for stored_, given in (
+        (stored_configuration(), with_receivers),
+        (before, with_receivers),
+        (with_receivers.model_dump(mode="json"), other),
+    ):
         assert differences(stored_, given) == []
-    assert differences(told.model_dump(mode="json"), NOW) == []
+    assert differences(with_receivers.model_dump(mode="json"), NOW) == []
 
 
 def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
@@ -76,20 +80,22 @@ def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
 
 
 def test_a_changed_default_is_a_change_of_meaning() -> None:
-    """The stored configuration holds every value in full, so the default of its day is not lost."""
-    before = kept()
+    """The stored configuration has all values, so the default of its version is not lost."""
+    before = stored_configuration()
     given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
     assert differences(before, given) == ["novelty.false_alarm_rate began with 0.0027, is 0.01 now"]
 
 
 def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOLIMON_CHAIN__DROP_HEIGHT_M", "5.1e-3")
-    assert differences(kept(), NOW) == []
-    assert differences(kept(), Settings()) == ["chain.drop_height_m began with 0.005, is 0.0051 now"]
+    assert differences(stored_configuration(), NOW) == []
+    assert differences(stored_configuration(), Settings()) == [
+        "chain.drop_height_m began with 0.005, is 0.0051 now"
+    ]
 
 
 def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it() -> None:
-    before = kept()
+    before = stored_configuration()
     before["novelty"]["ghost"] = 3
     before["web"]["ghost"] = 4
     before["web"]["port"] = -1
@@ -101,7 +107,7 @@ def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it() -> No
 
 
 def test_a_value_that_this_version_refuses_is_named() -> None:
-    before = kept()
+    before = stored_configuration()
     before["alarms"]["k"] = 0
     (line,) = differences(before, NOW)
     assert line.startswith("alarms.k Input should be greater than or equal to 1")
@@ -112,17 +118,17 @@ def test_a_renamed_key_is_read_under_its_name_of_today(
     monkeypatch: pytest.MonkeyPatch, today: str | None, measured: str | None
 ) -> None:
     monkeypatch.setattr(stored, "RENAMED", {"positions.*.plate.touch": today})
-    before = kept()
-    for place in before["positions"].values():
-        place["plate"]["touch"] = place["plate"].pop("contact")
+    before = stored_configuration()
+    for position in before["positions"].values():
+        position["plate"]["touch"] = position["plate"].pop("contact")
     moved = renamed(before)
-    assert all(place["plate"].get("contact") == measured for place in moved["positions"].values())
+    assert all(position["plate"].get("contact") == measured for position in moved["positions"].values())
     assert differences(before, NOW) == []
 
 
 def test_a_renamed_table_takes_its_keys_along(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stored, "RENAMED", {"judgement": "novelty"})
-    before = kept()
+    before = stored_configuration()
     before["judgement"] = {**before.pop("novelty"), "false_alarm_rate": 0.01}
     unchanged = copy.deepcopy(before)
     assert differences(before, NOW) == ["novelty.false_alarm_rate began with 0.01, is 0.0027 now"]
@@ -130,6 +136,6 @@ def test_a_renamed_table_takes_its_keys_along(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_long_list_of_differences_is_cut_with_its_length() -> None:
-    *lines, last = differences(kept(), Settings(positions={"Z": {"method": "pulse_echo"}}))
+    *lines, last = differences(stored_configuration(), Settings(positions={"Z": {"method": "pulse_echo"}}))
     assert len(lines) == SHOWN
     assert last.startswith("and ")

@@ -1,4 +1,4 @@
-"""Every query of the Grafana dashboard and of its page asks for metrics and labels that there are."""
+"""Every query of the Grafana dashboard and of its page uses existing metrics and labels."""
 
 import json
 import re
@@ -33,7 +33,7 @@ GROUPING = re.compile(r"\bby \((?P<labels>[^)]*)\)")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A test that has everything."""
+    """Return a test with all kinds of data."""
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
     for index in range(60):
         folder.add_set(index, stored=index == 0)
@@ -44,8 +44,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", params=["one test", "several tests"])
-def told(request, folder, tmp_path_factory):
-    """What a service of one test tells, and one of this and its copy: families of metrics."""
+def families(request, folder, tmp_path_factory):
+    """Return the metric families of a service with one test and of one with the test and its copy."""
     below = [""]
     if request.param == "one test":
         service = served(folder.settings, folder.folder)
@@ -62,16 +62,16 @@ def told(request, folder, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def label_sets(told):
+def label_sets(families):
     found = {}
-    for family in told:
+    for family in families:
         for sample in family.samples:
             found.setdefault(sample.name, []).append(sample.labels)
     return found
 
 
 def selectors(expression):
-    """Name, label matchers and range of each series that is asked for."""
+    """Return name, label matchers and range of each series of the query."""
     bare = GROUPING.sub("", expression)
     for match in SELECTOR.finditer(bare):
         labels = OF_PROMETHEUS | {OF_SEVERAL}
@@ -83,10 +83,10 @@ def selectors(expression):
 
 
 def check(expression, label_sets):
-    """The labels that the result can have."""
-    asked = list(selectors(expression))
-    assert asked, expression
-    for name, matchers, _ in asked:
+    """Return the possible labels of the result."""
+    queried = list(selectors(expression))
+    assert queried, expression
+    for name, matchers, _ in queried:
         assert name in label_sets, f"{name} is not told"
         for label, sign, value in matchers:
             if label in OF_PROMETHEUS or (label, value) == (OF_SEVERAL, "$test"):
@@ -95,22 +95,22 @@ def check(expression, label_sets):
             assert None not in values, f"{name} has no label {label}"
             assert sign in ("=", "=~"), "what is left out is not looked for here"
             pattern = value if sign == "=~" else re.escape(value)
-            assert any(re.fullmatch(pattern, one) for one in values), f"no {label} of {name} is {value}"
+            assert any(re.fullmatch(pattern, item) for item in values), f"no {label} of {name} is {value}"
     groups = {
         label.strip() for found in GROUPING.finditer(expression) for label in found["labels"].split(",")
     }
-    common = set.intersection(*({*labels} for name, _, _ in asked for labels in label_sets[name]))
+    common = set.intersection(*({*labels} for name, _, _ in queried for labels in label_sets[name]))
     assert groups - {OF_SEVERAL} <= common, f"{groups - common} is no label there"
     is_summed = re.search(r"\bsum\b", expression)
-    return (groups if is_summed else common | OF_PROMETHEUS), asked
+    return (groups if is_summed else common | OF_PROMETHEUS), queried
 
 
 @pytest.mark.parametrize(("title", "expression", "legend"), TARGETS)
 def test_every_query_of_the_dashboard_finds_its_metrics_and_labels(title, expression, legend, label_sets):
-    labels, asked = check(expression, label_sets)
+    labels, queried = check(expression, label_sets)
     assert set(re.findall(r"\{\{(\w+)\}\}", legend)) <= labels | {OF_SEVERAL}, f"the legend of {title!r}"
     tests = {labels[OF_SEVERAL] for labels in label_sets["solimon_has_data"] if OF_SEVERAL in labels}
-    for name, matchers, _ in asked:
+    for name, matchers, _ in queried:
         chosen = (OF_SEVERAL, "=~", "$test") in matchers
         assert chosen is not name.startswith(OF_THE_SERVICE), f"{title!r} shows the tests that are chosen"
         if chosen:  # "All" is ".*", which in Prometheus also finds what has no such label
@@ -125,18 +125,21 @@ def test_every_rule_and_the_variables_find_theirs_too(expression, label_sets):
 
 
 @pytest.mark.parametrize("expression", [*(expression for _, expression, _ in TARGETS), *RULES])
-def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, told):
+def test_only_counters_are_queried_as_a_rate(expression, families):
     growing = {
-        sample.name for family in told if family.type in ("counter", "histogram") for sample in family.samples
+        sample.name
+        for family in families
+        if family.type in ("counter", "histogram")
+        for sample in family.samples
     }
     for name, _, over in selectors(expression):
         assert (name in growing) is (over is not None), name
 
 
-def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(told):
-    """The parser itself refuses what OpenMetrics forbids; this is what it leaves to us."""
-    assert {family.type for family in told} <= {"gauge", "counter", "info", "histogram"}
-    for family in told:
+def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(families):
+    """The parser rejects what OpenMetrics forbids; this checks the rest."""
+    assert {family.type for family in families} <= {"gauge", "counter", "info", "histogram"}
+    for family in families:
         assert family.name == "solimon" or family.name.startswith("solimon_")
         assert family.documentation
         # Prometheus wants base units, as whole words.
@@ -150,7 +153,7 @@ def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(told):
 
 
 def test_the_dashboard_can_be_imported():
-    """Ids are its own, panels do not overlap, and the data source is asked for, not named."""
+    """Ids are unique, panels do not overlap, and the data source is a variable."""
     panels = DASHBOARD["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
     taken = set()

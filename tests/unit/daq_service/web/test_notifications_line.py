@@ -1,4 +1,4 @@
-"""Who is told of which alarm and when; what a restart knows; what a dead receiver costs."""
+"""Selection, delay and restart of notifications, and the effect of an unreachable receiver."""
 
 import logging
 from itertools import pairwise
@@ -17,8 +17,8 @@ AT_ONCE = {"group_s": 0.0}
 
 
 @pytest.fixture
-def made(tmp_path):
-    """Benches, closed at the end."""
+def make_bench(tmp_path):
+    """Return a factory of benches, closed at the end."""
     benches = []
 
     def make(**rule):
@@ -41,8 +41,8 @@ def changes(message):
 # Rules
 
 
-def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
-    bench = made()
+def test_an_alarm_message_has_units_age_quality_and_guidance(make_bench):
+    bench = make_bench()
     proof = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
     event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", proof=proof)
     bench.mono_s += 240.0
@@ -60,7 +60,7 @@ def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
 
 
 @pytest.mark.parametrize(
-    ("rule", "is_told"),
+    ("rule", "is_sent"),
     [
         ({"severity": "critical"}, False),
         ({"severity": "high"}, True),
@@ -72,56 +72,56 @@ def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
         ({"rules": [AT_ONCE | {"kinds": ["hole"]}, AT_ONCE]}, True),
     ],
 )
-def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_told, made):
-    bench = made(**rule)
+def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_sent, make_bench):
+    bench = make_bench(**rule)
     bench.alarms.change()
-    assert bool(bench.run()) == is_told
-    assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_told else "passed"]
+    assert bool(bench.run()) == is_sent
+    assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_sent else "passed"]
 
 
-def test_each_step_of_an_alarm_s_life_is_told_but_what_a_person_did(made):
-    bench = made()
+def test_each_automatic_state_change_of_an_alarm_is_sent(make_bench):
+    bench = make_bench()
     for severity, present in (("medium", True), ("high", True), ("high", False), ("high", True)):
         bench.alarms.change(severity=severity, present=present)
     bench.alarms.change("hole", latched=True)
     bench.alarms.reset("hole")
-    told = [change for message in bench.run(1.0) for _, change in changes(message)]
-    assert told == ["raised", "worse", "over", "back", "raised", "over"]
+    sent_changes = [change for message in bench.run(1.0) for _, change in changes(message)]
+    assert sent_changes == ["raised", "worse", "over", "back", "raised", "over"]
 
 
-def test_the_end_is_not_told_where_nobody_wants_it(made):
-    bench = made(returned=False)
+def test_the_return_to_normal_is_not_sent_if_not_configured(make_bench):
+    bench = make_bench(returned=False)
     bench.alarms.change()
     bench.run()
     bench.alarms.change(present=False)
     assert bench.run(5.0) == []
 
 
-def test_what_is_over_within_its_delay_is_not_told(made):
-    bench = made(delay_s=60.0)
+def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(make_bench):
+    bench = make_bench(delay_s=60.0)
     bench.alarms.change()
     assert bench.run(50.0) == []
     bench.alarms.change(present=False)
     assert bench.run(300.0) == []
     (line,) = bench.told("held_back")
     assert line.event_ids == [1, 2]
-    bench.alarms.change()  # it is back, and stays
+    bench.alarms.change()  # it is active again, and stays
     assert bench.run(59.0) == []
     assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "back")]]
 
 
-def test_a_worse_alarm_within_a_delay_loses_no_end_of_one_that_was_told(made):
-    bench = made(delay_s=60.0)
+def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(make_bench):
+    bench = make_bench(delay_s=60.0)
     bench.alarms.change(severity="medium")
     assert len(bench.run(61.0)) == 1
     bench.alarms.change(severity="high")
     bench.alarms.change(severity="high", present=False)
-    told = [change for message in bench.run(120.0) for _, change in changes(message)]
-    assert told == ["over", "worse"]
+    sent_changes = [change for message in bench.run(120.0) for _, change in changes(message)]
+    assert sent_changes == ["over", "worse"]
 
 
-def test_a_storm_is_one_message_with_its_counts(made):
-    bench = made(group_s=10.0)
+def test_a_storm_is_one_message_with_its_counts(make_bench):
+    bench = make_bench(group_s=10.0)
     for number in range(MOST_LISTED + 5):
         bench.alarms.change(position=f"P{number}", severity="critical" if number == 3 else "medium")
     bench.alarms.change(position="P0", severity="medium", present=False)
@@ -137,8 +137,8 @@ def test_a_storm_is_one_message_with_its_counts(made):
 # A restart
 
 
-def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(made, tmp_path):
-    bench = made()
+def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(make_bench, tmp_path):
+    bench = make_bench()
     bench.alarms.change()
     bench.log.path.unlink()
     bench.restarted()
@@ -151,8 +151,8 @@ def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(made, tmp_path)
     assert [changes(message) for message in bench.run()] == [[("hole", "raised")]]
 
 
-def test_a_restart_neither_loses_nor_repeats(made):
-    bench = made(rules=[{"kinds": ["hole"], "delay_s": 100.0, "group_s": 0.0}, AT_ONCE])
+def test_a_restart_neither_loses_nor_repeats(make_bench):
+    bench = make_bench(rules=[{"kinds": ["hole"], "delay_s": 100.0, "group_s": 0.0}, AT_ONCE])
     waits, goes = bench.alarms.change("hole"), bench.alarms.change("no_data")
     bench.run(40.0)
     bench.restarted()
@@ -160,13 +160,13 @@ def test_a_restart_neither_loses_nor_repeats(made):
     bench.run(50.0)
     bench.restarted()
     bench.run(200.0)
-    told = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
-    assert told == [goes, while_away, waits]
+    event_ids = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
+    assert event_ids == [goes, while_away, waits]
     assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
-def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(made):
-    bench = made(delay_s=60.0)
+def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(make_bench):
+    bench = make_bench(delay_s=60.0)
     bench.alarms.change()
     bench.run(10.0)
     bench.mono_s += 40.0
@@ -177,11 +177,11 @@ def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(m
 
 
 class Crash(BaseException):
-    """Not an error that anything handles: the process is gone."""
+    """End of the process, which no code handles as an error."""
 
 
 def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_path):
-    """Before and after each line of the log and each message, one point after the other."""
+    """The crash is before and after each line of the log and each message in turn."""
     at, is_over = 0, False
     while not is_over:
         folder = tmp_path / str(at)
@@ -219,15 +219,15 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
         by_key = {
             message.key: [item["event_id"] for item in message.facts["alarms"]] for message in bench.sent
         }
-        assert sorted(event_id for told in by_key.values() for event_id in told) == wanted
+        assert sorted(event_id for event_ids in by_key.values() for event_id in event_ids) == wanted
         assert len(bench.sent) - len(by_key) <= 1
         bench.alarms.catalogue.close()
         at += 1
     assert at > 12
 
 
-def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the_same_key(made, monkeypatch):
-    bench = made(group_s=10.0)
+def test_a_message_unlogged_after_a_crash_is_repeated_with_the_same_key(make_bench, monkeypatch):
+    bench = make_bench(group_s=10.0)
     bench.alarms.change("hole")
     bench.alarms.change("no_data")
     monkeypatch.setattr(bench.line, "_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
@@ -241,8 +241,8 @@ def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the
     assert changes(other) == [("thickness", "raised")]
 
 
-def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
-    bench = made()
+def test_a_cursor_of_another_catalogue_starts_at_the_present_with_a_note(make_bench):
+    bench = make_bench()
     bench.alarms.change()
     bench.run()
     bench.alarms.catalogue.close()
@@ -255,8 +255,8 @@ def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
     ahead.alarms.catalogue.close()
 
 
-def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
-    bench = made()
+def test_a_full_disk_does_not_prevent_notifications(make_bench, monkeypatch, caplog):
+    bench = make_bench()
     monkeypatch.setattr(
         "daq_service.processes.notifications.delivery_log.append_line",
         lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
@@ -266,11 +266,11 @@ def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
     assert caplog.text.count("a crash would repeat messages") == 1
 
 
-# A receiver that does not take it
+# A receiver that rejects the message
 
 
-def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(made, caplog):
-    bench = made()
+def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(make_bench, caplog):
+    bench = make_bench()
     bench.outcomes += [DEAD] * 5
     first = bench.alarms.change()
     times_s = []
@@ -286,16 +286,16 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
     assert [record.levelno for record in caplog.records].count(logging.WARNING) == 1
 
 
-def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(made):
-    bench = made()
+def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(make_bench):
+    bench = make_bench()
     bench.outcomes.append(Outcome(ok=False, told="the receiver answers 429", status=429, retry_after_s=120.0))
     bench.alarms.change()
     assert len(bench.run(119.0)) == 1
     assert len(bench.run(2.0)) == 1
 
 
-def test_a_message_that_is_refused_makes_way_for_the_others(made):
-    bench = made()
+def test_a_message_that_is_refused_makes_way_for_the_others(make_bench):
+    bench = make_bench()
     refusal = Outcome(ok=False, told="the receiver answers 422", status=422, refused=True)
     bench.outcomes += [refusal] * MOST_REFUSALS
     bench.alarms.change()
@@ -307,8 +307,8 @@ def test_a_message_that_is_refused_makes_way_for_the_others(made):
     assert line.told == "refused 5 times: the receiver answers 422"
 
 
-def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
-    bench = made()
+def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_bench):
+    bench = make_bench()
     bench.outcomes += [DEAD] * 400
     bench.alarms.change()
     bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
@@ -321,10 +321,10 @@ def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
     assert not is_dead(bench.line.state, bench.now_ns())
 
 
-def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(made, monkeypatch):
+def test_pending_messages_of_an_unreachable_receiver_are_bounded_and_not_lost(make_bench, monkeypatch):
     monkeypatch.setattr("daq_service.processes.notifications.receiver.MOST_WAITING", 20)
     monkeypatch.setattr("daq_service.processes.notifications.receiver.PAGE_EVENTS", 10)
-    bench = made(group_s=1.0)
+    bench = make_bench(group_s=1.0)
     bench.outcomes += [DEAD] * 8
     bench.alarms.change()
     bench.run(5.0)
@@ -333,15 +333,15 @@ def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(mad
     bench.run(100.0)
     assert bench.line.state.waiting == 21
     bench.run(900.0, at_least_s=1.0)
-    told = [event_id for line in bench.told("sent") for event_id in line.event_ids]
-    assert sorted(told) == list(range(1, 51))
+    event_ids = [event_id for line in bench.told("sent") for event_id in line.event_ids]
+    assert sorted(event_ids) == list(range(1, 51))
 
 
-# Signs of life
+# Heartbeats
 
 
-def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, monkeypatch):
-    bench = made(receiver={"heartbeat_s": 30.0})
+def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recorder(make_bench, monkeypatch):
+    bench = make_bench(receiver={"heartbeat_s": 30.0})
     facts = {
         "recorder": "running",
         "doing": "running, waiting",
@@ -361,9 +361,9 @@ def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, mo
     assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
 
 
-def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypatch):
+def test_heartbeats_to_people_are_one_hour_apart_across_restarts(make_bench, monkeypatch):
     mail = {"kind": "apprise", "url": "", "url_env": "MAIL", "secret_env": "", "heartbeat_s": 3600.0}
-    bench = made(receiver=mail)
+    bench = make_bench(receiver=mail)
     facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
     sent_s = []
     for pause_s in (1.0, 600.0, 600.0, 3600.0, 1800.0):
@@ -374,8 +374,8 @@ def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypat
     assert [round(after - before) for before, after in pairwise(sent_s)] == [4801]
 
 
-def test_a_catalogue_that_cannot_be_read_now_stops_nothing_for_good(made, monkeypatch):
-    bench = made()
+def test_a_temporary_catalogue_error_stops_no_notification(make_bench, monkeypatch):
+    bench = make_bench()
     bench.alarms.change()
     with monkeypatch.context() as patch:
         patch.setattr(bench.line._source, "alarm_events", _raise)
@@ -388,8 +388,8 @@ def _raise(*_):
     raise StorageUnavailableError("the disk is gone")
 
 
-def test_a_trial_says_so_and_moves_no_cursor(made):
-    bench = made()
+def test_a_test_message_is_marked_and_moves_no_cursor(make_bench):
+    bench = make_bench()
     bench.alarms.change()
     assert bench.line.test("ann") == TAKEN
     (message,) = bench.sent
@@ -399,8 +399,8 @@ def test_a_trial_says_so_and_moves_no_cursor(made):
     assert len(bench.run()) == 1
 
 
-def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(made, monkeypatch, caplog):
-    bench = made()
+def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, monkeypatch, caplog):
+    bench = make_bench()
     outcomes = iter([LookupError("mailto://ann:secret@host"), RecursionError(), None])
     send = bench.line._send
 

@@ -1,4 +1,4 @@
-"""Notifications of a running service: beside its requests, through its end, a crash and a second service."""
+"""Notifications of a running service: during requests, its end, a crash and a second service."""
 
 import subprocess
 import sys
@@ -30,14 +30,14 @@ def receiver(monkeypatch):
         yield running
 
 
-def told_at_once(receiver, **beside):
-    duty = {"url": f"{receiver.url}/T0K3N", "secret_env": "DUTY_SECRET", **beside}
+def immediate_settings(receiver, **options):
+    duty = {"url": f"{receiver.url}/T0K3N", "secret_env": "DUTY_SECRET", **options}
     return notifying({"duty": duty}, rules=[{"group_s": 0.0}])
 
 
 @pytest.fixture
 def filled(tmp_path, receiver):
-    folder = FilledFolder(tmp_path, told_at_once(receiver))
+    folder = FilledFolder(tmp_path, immediate_settings(receiver))
     folder.add_set(0, stored=False)
     yield folder
     folder.close()
@@ -65,7 +65,7 @@ def duty(client):
     return found
 
 
-def begun(client):
+def wait_for_start(client):
     return until(lambda: duty(client)["began"], "the receiver's line")
 
 
@@ -73,9 +73,9 @@ def events_of(message):
     return [item["event_id"] for item in message["alarms"]]
 
 
-def test_an_alarm_is_told_with_the_quality_of_its_set_and_the_api_tells_what_became_of_it(filled, receiver):
+def test_an_alarm_is_sent_with_its_quality_and_the_api_lists_the_delivery(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        assert "begins at the present" in begun(client)
+        assert "begins at the present" in wait_for_start(client)
         event_id = raise_alarm(filled, "wall_change")
         message = receiver.next().message
         assert (events_of(message), message["alarms"][0]["quality"]) == ([event_id], "good")
@@ -92,26 +92,26 @@ def test_an_alarm_is_told_with_the_quality_of_its_set_and_the_api_tells_what_bec
         assert 'solimon_notifications_waiting{receiver="duty"} 0.0' in metrics
 
 
-def test_neither_secret_nor_path_is_told_anywhere(filled, receiver, caplog):
+def test_neither_secret_nor_path_is_exposed(filled, receiver, caplog):
     caplog.set_level("DEBUG", logger="daq_service")
     receiver.answers.put((500, {}))
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        begun(client)
+        wait_for_start(client)
         raise_alarm(filled, "hole")
         until(lambda: duty(client)["failed"], "a failure")
-        told = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
-        told.append(client.post(f"{STATE}/duty/test", json={}).text)
-        told.append(client.get("/api/v1/audit").text)
-    told += [caplog.text, (filled.folder / LOG_FILE).read_text(encoding="utf-8")]
-    assert [text for text in told if SECRET in text or "T0K3N" in text] == []
-    assert duty_address(told[0]) == receiver.url.removesuffix("/hook")
+        texts = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
+        texts.append(client.post(f"{STATE}/duty/test", json={}).text)
+        texts.append(client.get("/api/v1/audit").text)
+    texts += [caplog.text, (filled.folder / LOG_FILE).read_text(encoding="utf-8")]
+    assert [text for text in texts if SECRET in text or "T0K3N" in text] == []
+    assert duty_address(texts[0]) == receiver.url.removesuffix("/hook")
 
 
 def duty_address(text):
     return text.partition('"address":"')[2].partition('"')[0]
 
 
-def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver):
+def test_a_test_message_returns_its_result_and_only_one_runs_at_a_time(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         answer = client.post(f"{STATE}/duty/test", json={}).json()
         assert (answer["ok"], answer["status"], answer["told"]) == (True, 204, "taken (204)")
@@ -125,18 +125,18 @@ def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver)
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
 
 
-def test_a_backup_tells_nobody(filled, receiver):
-    """Its signs of life would hide that the test's own service is gone."""
+def test_a_backup_sends_no_notifications(filled, receiver):
+    """Its heartbeats would hide that the service of the test itself has ended."""
     (filled.folder / BACKUP_FILE).write_bytes(b"{}")
     with served(filled.settings, filled.folder) as service, service.client() as client:
-        told = client.get(STATE).json()
-        assert (told["sending"], told["receivers"][0]["began"]) == (False, "")
-        assert told["why_silent"] == "this is a backup; the test's own folder tells"
+        state = client.get(STATE).json()
+        assert (state["sending"], state["receivers"][0]["began"]) == (False, "")
+        assert state["why_silent"] == "this is a backup; the test's own folder tells"
     assert not (filled.folder / LOG_FILE).exists()
 
 
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
-    """It is waited for longer than this test waits for anything: what it held would fail the test."""
+    """Its timeout is longer than all waits of this test: any delay would fail the test."""
     patient = Bounds(read_s=10.0 * WAIT_S, whole_s=10.0 * WAIT_S)
     monkeypatch.setattr("daq_service.processes.notifications.service.Bounds", lambda: patient)
     with http_receiver() as deaf, ExitStack() as stack:
@@ -154,10 +154,10 @@ def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, recei
         raise_alarm(filled, "hole")
         deaf.next()
         raise_alarm(filled, "no_data")
-        told: list[str] = []
-        while len(told) < 2:  # one message, if both were there when its line looked
-            told += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
-        assert told == ["hole", "no_data"]
+        kinds: list[str] = []
+        while len(kinds) < 2:  # one message, if both were there when its line looked
+            kinds += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
+        assert kinds == ["hole", "no_data"]
         quick = [client.get("/healthz").status_code for _ in range(20)]
         assert quick == [200] * 20
         service.stop.set()
@@ -169,18 +169,18 @@ def test_a_second_service_of_a_test_sends_nothing_until_the_first_has_ended(fill
     monkeypatch.setattr("daq_service.processes.notifications.service.TROUBLE_PAUSE_S", 0.05)
     with ExitStack() as stack:
         first = stack.enter_context(served(filled.settings, filled.folder))
-        begun(stack.enter_context(first.client()))
+        wait_for_start(stack.enter_context(first.client()))
         second = stack.enter_context(served(filled.settings, filled.folder))
         client = stack.enter_context(second.client())
         waits = until(
-            lambda: "another" in (told := client.get(STATE).json())["why_silent"] and told, "its look"
+            lambda: "another" in (state := client.get(STATE).json())["why_silent"] and state, "its look"
         )
         assert waits["sending"] is False
         raise_alarm(filled, "hole")
         receiver.next()
         first.stop.set()
         ended(first.thread, "the first service")
-        begun(client)
+        wait_for_start(client)
         event_id = raise_alarm(filled, "no_data")
         assert events_of(receiver.next().message) == [event_id]
     assert receiver.got.empty()
@@ -198,7 +198,7 @@ serve(create_app(load_settings(config), folder), "127.0.0.1", 0, on_bound=lambda
 
 
 def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_path, receiver):
-    """Killed between the receiver's taking a message and the note of it: the worst moment."""
+    """The kill is between the acceptance of a message and its log entry: the worst moment."""
     config, folder = tmp_path / "test.toml", tmp_path / "data"
     config.write_text(
         f'[notifications.receivers.duty]\nurl = "{receiver.url}"\nsecret_env = "DUTY_SECRET"\n'
@@ -223,7 +223,7 @@ def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_
         first = raise_alarm(filled, "hole")
         assert events_of(receiver.next().message) == [first]
         until(lambda: any(line.what == "sent" for _, line in log.read(limit=10)[0]), "the note of it")
-        receiver.silent.set()  # has taken the next one, and says nothing before the kill
+        receiver.silent.set()  # has received the next one, and does not respond before the kill
         second = raise_alarm(filled, "no_data")
         cut = receiver.next()
         child.kill()

@@ -1,4 +1,4 @@
-"""Nobody is told of an alarm that is shelved or out of service, and somebody once its shelf has expired."""
+"""A shelved or out-of-service alarm is not sent; it is sent after its shelf has expired."""
 
 from dataclasses import replace
 
@@ -33,8 +33,8 @@ ROW = AlarmRow(
         ("alarm_shelved", "shelved", None),
     ],
 )
-def test_what_is_put_aside_is_told_to_nobody(kind: str, suppressed: str | None, what: str | None) -> None:
+def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:
     row = replace(ROW, suppressed=suppressed)
     event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
-    news = news_of(event)
-    assert (news.what if news else None) == what
+    notification = news_of(event)
+    assert (notification.what if notification else None) == what

@@ -1,4 +1,4 @@
-"""Who sends while the web service is missing: a process that stands by, and one at a time."""
+"""Another process sends notifications while the web service is missing, one at a time."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def beat(folder: Path, *, deadline_s: float) -> None:
 
 
 def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
-    """Raise an alarm; return the kinds in the message that comes."""
+    """Raise an alarm; return the kinds in the next message."""
     filled.add_alarm("B", 0, kind=kind, message=f"{kind} is there")
     return [item["kind"] for item in receiver.next().message["alarms"]]
 
 
-def test_without_a_web_service_the_process_that_stands_by_sends(
+def test_without_a_web_service_the_standby_process_sends(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
     with standing_by(filled.settings, filled.folder, watches=False):
@@ -60,7 +60,7 @@ def test_without_a_web_service_the_process_that_stands_by_sends(
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
-def test_the_web_service_takes_over_where_it_stopped_and_back_again(
+def test_the_web_service_and_the_standby_process_continue_each_other(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
     with standing_by(filled.settings, filled.folder, watches=False):
@@ -81,7 +81,7 @@ def test_the_web_service_takes_over_where_it_stopped_and_back_again(
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows keeps the name of an open file")
 def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, receiver: HttpReceiver) -> None:
-    """Its process lives, and with it the lock of the delivery log."""
+    """Its process is alive and keeps the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
     with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
         stack.enter_context(standing_by(filled.settings, filled.folder, watches=False))
@@ -89,10 +89,8 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
-def test_a_process_whose_lock_was_taken_sends_nothing_more(
-    filled: FilledFolder, receiver: HttpReceiver
-) -> None:
-    """As a web service that goes on after it was stopped for long."""
+def test_a_process_that_lost_the_lock_stops_sending(filled: FilledFolder, receiver: HttpReceiver) -> None:
+    """This is a web service that continues after it was stopped for long."""
     with served(filled.settings, filled.folder) as web, web.client() as client:
         until(lambda: client.get("/api/v1/notifications").json()["receivers"][0]["began"], "its line")
         lock = filled.folder / service.LOCK_FILE

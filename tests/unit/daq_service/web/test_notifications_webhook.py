@@ -1,4 +1,4 @@
-"""The webhook against real HTTP servers: what is signed, what is refused, how long anything may take."""
+"""The webhook with real HTTP servers: signature, rejections, and time limits."""
 
 import hashlib
 import hmac
@@ -37,19 +37,19 @@ def receiver():
         yield running
 
 
-def sent(receiver, **beside):
-    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **beside)
+def send(receiver, **options):
+    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **options)
 
 
 def is_genuine(secret: str, header: str, body: bytes) -> bool:
-    """Check as docs/how-to/get-notified.md tells a receiver to."""
+    """Check the signature as docs/how-to/get-notified.md describes."""
     parts = dict(part.split("=", 1) for part in header.split(","))
     wanted = hmac.new(secret.encode(), parts["t"].encode() + b"." + body, hashlib.sha256).hexdigest()
     return hmac.compare_digest(wanted, parts["v1"])
 
 
 def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
-    outcome = sent(receiver, now_s=lambda: 1_700_000_000.9)
+    outcome = send(receiver, now_s=lambda: 1_700_000_000.9)
     got = receiver.next()
     assert (outcome.ok, outcome.status) == (True, 204)
     header = got.headers["Solimon-Signature"]
@@ -63,7 +63,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 
 
 @pytest.mark.parametrize(
-    ("status", "headers", "told", "refused", "retry_after_s"),
+    ("status", "headers", "message", "refused", "retry_after_s"),
     [
         (200, {}, "taken (200)", False, 0.0),
         (500, {}, "the receiver answers 500 Internal Server Error", False, 0.0),
@@ -74,30 +74,30 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
         (429, {"Retry-After": "soon"}, "429 Too Many Requests", False, 0.0),
     ],
 )
-def test_an_answer_says_what_became_of_it(status, headers, told, refused, retry_after_s, receiver):
+def test_a_response_determines_the_outcome(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
-    outcome = sent(receiver, now_s=lambda: 1_000_000.0)
-    assert told in outcome.told
+    outcome = send(receiver, now_s=lambda: 1_000_000.0)
+    assert message in outcome.told
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
 
-def test_nothing_is_sent_where_an_answer_points(receiver):
+def test_redirects_are_not_followed(receiver):
     with http_receiver() as elsewhere:
         for status in (301, 302, 307, 308):
             receiver.answers.put((status, {"Location": elsewhere.url}))
-            outcome = sent(receiver)
+            outcome = send(receiver)
             assert not outcome.ok
             assert "it points elsewhere, where nothing is sent" in outcome.told
         assert elsewhere.got.empty()
 
 
-def test_a_receiver_that_never_answers_is_left_after_the_whole_time(receiver):
+def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver):
     receiver.silent.set()
-    assert sent(receiver, bounds=SOON).told == "no answer within 0.2 s"
+    assert send(receiver, bounds=SOON).told == "no answer within 0.2 s"
 
 
-def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
-    """Each byte comes in time; only the whole time ends it."""
+def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
+    """Each byte is in time; only the total time limit ends it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         left = threading.Event()
 
@@ -121,7 +121,7 @@ def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
 def test_the_service_s_end_cuts_an_attempt(receiver):
     receiver.silent.set()
     cut, outcomes = Cut(), []
-    thread = threading.Thread(target=lambda: outcomes.append(sent(receiver, cut=cut)))
+    thread = threading.Thread(target=lambda: outcomes.append(send(receiver, cut=cut)))
     thread.start()
     receiver.next()
     cut.close()
@@ -129,9 +129,9 @@ def test_the_service_s_end_cuts_an_attempt(receiver):
     assert [outcome.ok for outcome in outcomes] == [False]
 
 
-def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
+def test_an_untrusted_certificate_is_rejected(monkeypatch):
     with http_receiver(tls=TLS) as receiver:
-        outcome = sent(receiver)
+        outcome = send(receiver)
         assert not outcome.ok
         assert outcome.told.startswith("its certificate is refused:")
         assert receiver.got.empty()
@@ -139,7 +139,7 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
         assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
 
 
-def test_nobody_there_and_nonsense_are_outcomes():
+def test_a_refused_connection_and_an_invalid_response_are_outcomes():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).told == "Connection refused"
@@ -161,14 +161,14 @@ def test_nobody_there_and_nonsense_are_outcomes():
     assert outcome.told == "no answer of HTTP (BadStatusLine)"
 
 
-# Where addresses and secrets stand
+# Sources of addresses and secrets
 
 
 def webhook(**given):
     return ReceiverSettings(**{"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET", **given})
 
 
-def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
+def test_addresses_and_secrets_are_read_from_the_configured_source(tmp_path):
     (tmp_path / "url").write_text("http://127.0.0.1:8/hook/T0K3N\n", encoding="utf-8")
     receiver = webhook(url="", url_file=str(tmp_path / "url"))
     address = address_of("duty", receiver, {"DUTY_SECRET": SECRET})
@@ -180,7 +180,7 @@ def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "held", "told"),
+    ("given", "held", "message"),
     [
         ({}, {}, "the variable DUTY_SECRET of secret_env is not set"),
         ({}, {"DUTY_SECRET": "hush"}, "the secret has 4 characters; give one of 16 or more"),
@@ -202,14 +202,14 @@ def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
         ),
     ],
 )
-def test_what_cannot_work_is_told_without_what_it_holds(given, held, told):
-    with pytest.raises(UsageError, match=told) as refusal:
+def test_an_invalid_receiver_is_reported_without_its_secret(given, held, message):
+    with pytest.raises(UsageError, match=message) as refusal:
         address_of("duty", webhook(**given), held)
     assert SECRET not in str(refusal.value)
     assert str(refusal.value).startswith("notifications.receivers.duty: ")
 
 
-def test_a_start_refuses_what_could_not_be_told(monkeypatch):
+def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
     mail = {"kind": "apprise", "url_env": "NO_SUCH_VARIABLE"}
     with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
         refuse_unusable(notifying({"mail": mail}).notifications)
@@ -221,10 +221,10 @@ def test_a_start_refuses_what_could_not_be_told(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
-def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkeypatch, caplog):
+def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, caplog):
     pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
-    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{own}", pool)
+    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{attribute}", pool)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
@@ -253,7 +253,7 @@ def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkey
 )
 def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
     receiver.answers.put((503, {"Retry-After": header}))
-    outcome = sent(receiver)
+    outcome = send(receiver)
     assert (outcome.ok, outcome.status) == (False, 503)
     assert 0.0 <= outcome.retry_after_s <= LONGEST_RETRY_AFTER_S
 
@@ -261,8 +261,8 @@ def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
 def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatch, tmp_path):
     pool = ThreadPoolExecutor()
-    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{own}", pool)
+    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{attribute}", pool)
     (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")

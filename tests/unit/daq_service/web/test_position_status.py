@@ -1,4 +1,4 @@
-"""A position with a suppressed alarm is not green: page, list, `status`, metrics and report agree."""
+"""A position with a suppressed alarm is not green in page, list, `status`, metrics and report."""
 
 import re
 from contextlib import nullcontext
@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
 EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "learning"}
 
 
-def test_page_metrics_and_report_show_what_is_suppressed(folder, monkeypatch):
+def test_page_metrics_and_report_show_suppressed_alarms(folder, monkeypatch):
     monkeypatch.setattr(report, "one_worker", lambda: nullcontext(AtOnce()))
     with served(folder.settings, folder.folder) as service, service.client() as api:
         items = api.get("/api/v1/transducers").json()["items"]
@@ -51,7 +51,7 @@ def test_page_metrics_and_report_show_what_is_suppressed(folder, monkeypatch):
         assert f"<td>{status.replace('_', ' ')}</td>" in reported
 
 
-def test_the_list_of_tests_shows_what_is_suppressed(folder, tmp_path):
+def test_the_list_of_tests_shows_suppressed_alarms(folder, tmp_path):
     app = create_app_of_many([folder.folder], Settings(), tmp_path)
     with served_app(app) as service, service.client() as api:
         (entry,) = api.get("/api/v1/tests").json()["items"]
@@ -59,7 +59,7 @@ def test_the_list_of_tests_shows_what_is_suppressed(folder, tmp_path):
     assert entry["standing"]["state"] == "alarm", "the most urgent one"
 
 
-def test_status_shows_what_is_suppressed(folder):
+def test_status_shows_suppressed_alarms(folder):
     positions = describe_status(folder.folder, folder.settings)["positions"]
     assert {name: row["state"] for name, row in positions.items()} == EXPECTED
 

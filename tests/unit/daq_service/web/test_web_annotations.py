@@ -1,4 +1,4 @@
-"""Notes on hours of the test: given as orders, listed by range, withdrawn and never erased."""
+"""Notes on hours of the test: created by commands, listed by range, withdrawn but never erased."""
 
 import pytest
 from support.filled_folder import FilledFolder
@@ -9,7 +9,7 @@ from daq_service.settings.tree import Settings
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory):
-    """An ended test, so that each order is carried out when it is answered."""
+    """Return the client of an ended test, where each command is executed within its request."""
     filled = FilledFolder(tmp_path_factory.mktemp("ended"), Settings())
     for index in range(2):
         filled.add_set(index, stored=False)
@@ -31,7 +31,7 @@ def listed(api, query=""):
     return api.get(f"/api/v1/annotations?{query}").json()["items"]
 
 
-def test_a_note_is_listed_told_on_the_stream_and_withdrawn_without_being_erased(api):
+def test_a_note_is_listed_sent_on_the_stream_and_withdrawn_without_being_erased(api):
     answer = note(api, from_h=1.0, to_h=2.5, position="B", text=" couplant renewed ")
     assert (answer.status_code, answer.json()["kind"], answer.json()["state"]) == (202, "annotate", "done")
     (row,) = listed(api)
@@ -82,7 +82,7 @@ def test_a_range_of_hours_is_half_open_and_finds_what_reaches_into_it(api):
         ({"from_h": 2.0, "text": "B", "hour": 2.0}, "/hour"),
     ],
 )
-def test_what_is_no_note_is_refused_and_nothing_is_stored(api, body, pointer):
+def test_an_invalid_note_is_rejected_and_not_stored(api, body, pointer):
     before = listed(api)
     answer = note(api, **body)
     assert answer.status_code == 422, answer.text

@@ -1,4 +1,4 @@
-"""The dashboard's files: served as they are, from here alone, under a strict policy."""
+"""Files of the dashboard: unchanged, local only, under a strict content policy."""
 
 import posixpath
 import re
@@ -44,14 +44,14 @@ def test_every_file_is_served_with_its_type(api, name):
 
 def test_the_page_names_every_module_that_it_needs_at_once():
     first, later = assets()["index.html"].content.split(b'<template id="later">')
-    told = [name.decode() for name in PRELOADED.findall(first + later)]
-    assert len(told) == len(set(told))
+    names = [name.decode() for name in PRELOADED.findall(first + later)]
+    assert len(names) == len(set(names))
     assert len(PRELOADED.findall(first)) < 10, "what the tiles need, and no more"
-    assert set(told) == {name for name in TEXT if name.endswith(".js")} - OF_OTHER_PAGES
+    assert set(names) == {name for name in TEXT if name.endswith(".js")} - OF_OTHER_PAGES
 
 
 @pytest.mark.parametrize("accepted", ["gzip, br", "identity"])
-def test_a_file_is_compressed_for_those_who_take_it(api, accepted):
+def test_a_file_is_compressed_for_clients_that_accept_it(api, accepted):
     answer = api.get("/static/main.js", headers={"Accept-Encoding": accepted})
     assert answer.headers.get("content-encoding") == ("gzip" if "gzip" in accepted else None)
     assert answer.headers["vary"] == "Accept-Encoding"
@@ -67,7 +67,7 @@ def test_browser_revalidates_by_etag(api):
 
 def test_page_has_nothing_that_its_policy_forbids():
     page = TEXT["index.html"]
-    # Data are no script: nobody runs them.
+    # Data are no script and are not executed.
     assert not re.search(r'<script(?![^>]*(?:\bsrc=|type="application/json"))', page)
     assert not re.search(r"<style|\sstyle=|\son\w+=", page)
     for name in OURS:
@@ -75,7 +75,7 @@ def test_page_has_nothing_that_its_policy_forbids():
         assert "innerHTML" not in TEXT[name]
 
 
-def test_nothing_comes_from_elsewhere():
+def test_the_page_loads_no_external_resource():
     for name in OURS:
         links = re.findall(r"https?://[^\s\"'`)]+", TEXT[name])
         # The namespace of SVG is a name, not an address.

@@ -1,4 +1,4 @@
-"""Who comes in: tokens, cookies, encryption, and what of it is ever told."""
+"""Authentication: tokens, cookies, encryption, and secrets that no output exposes."""
 
 import logging
 import os
@@ -45,8 +45,8 @@ def tokens(tmp_path):
     return tmp_path / "tokens.json"
 
 
-def deeds(folder, **wanted):
-    """Of the audit, the oldest first."""
+def audit_entries(folder, **wanted):
+    """Return the audit entries, the oldest first."""
     found = [deed for _, deed in reversed(read_audit(folder, limit=1000)[0])]
     return [deed for deed in found if all(getattr(deed, key) == value for key, value in wanted.items())]
 
@@ -54,7 +54,7 @@ def deeds(folder, **wanted):
 # Tokens in their file
 
 
-def test_a_token_is_kept_as_its_hash_for_its_owner_only(tokens):
+def test_a_token_is_stored_as_a_hash_readable_by_its_owner_only(tokens):
     token, text = create_token(tokens, "ann", "operator", days=2.0)
     assert len(text) == 43
     assert text not in tokens.read_text(encoding="utf-8")
@@ -64,7 +64,7 @@ def test_a_token_is_kept_as_its_hash_for_its_owner_only(tokens):
         assert tokens.stat().st_mode & 0o777 == 0o600
 
 
-def test_names_are_unique_while_they_open(tokens):
+def test_names_of_valid_tokens_are_unique(tokens):
     create_token(tokens, "ann", "viewer")
     with pytest.raises(UsageError, match="ann has a token; revoke it first"):
         create_token(tokens, "ann", "admin")
@@ -77,7 +77,7 @@ def test_names_are_unique_while_they_open(tokens):
         create_token(tokens, "../ann", "admin")
 
 
-def test_a_running_service_follows_the_file_and_shuts_when_it_is_gone(tokens):
+def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tokens):
     now_s = [0.0]
     known = KnownTokens(tokens, mono_s=lambda: now_s[0])
     assert not known.asked_for
@@ -95,10 +95,10 @@ def test_a_running_service_follows_the_file_and_shuts_when_it_is_gone(tokens):
         read_tokens(tokens)
 
 
-# Coming in
+# Authentication
 
 
-def test_without_a_token_all_stays_open_under_the_name_that_is_claimed(filled):
+def test_without_tokens_requests_are_accepted_under_their_claimed_name(filled):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.get("/api/v1/session").json()["role"] == "claimed"
         assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "mallory"
@@ -123,13 +123,13 @@ def test_with_a_token_the_name_is_the_token_s(filled, tokens):
         refused = api.post("/api/v1/commands", json={"kind": "stop"})
         assert (refused.status_code, refused.json()["type"]) == (403, "urn:solimon:problem:role-too-low")
         assert "stop needs the role engineer; ann is operator" in refused.text
-    (held,) = deeds(filled.folder, what="hold")
+    (held,) = audit_entries(filled.folder, what="hold")
     assert (held.who, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
-    (stopped,) = deeds(filled.folder, what="stop")
+    (stopped,) = audit_entries(filled.folder, what="stop")
     assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
 
 
-def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
+def test_the_page_exchanges_a_token_for_a_cookie_and_logs_out(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as page:
         assert page.get("/").status_code == page.get("/healthz").status_code == 200
@@ -150,7 +150,7 @@ def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
         assert page.get(DUE).status_code == 200
         assert page.delete("/api/v1/session").json()["name"] is None
         assert page.get(DUE).status_code == 401
-    assert [(deed.what, deed.who, deed.result) for deed in deeds(filled.folder)] == [
+    assert [(deed.what, deed.who, deed.result) for deed in audit_entries(filled.folder)] == [
         ("log_in", "", "refused"),
         ("log_in", "ann", "done"),
         ("log_out", "ann", "done"),
@@ -158,7 +158,7 @@ def test_the_page_trades_a_token_for_a_cookie_and_gives_it_back(filled, tokens):
 
 
 @pytest.mark.parametrize("how", ["revoked", "expired"])
-def test_a_token_that_opens_no_more_is_refused_by_its_name(filled, tokens, how):
+def test_an_invalidated_token_is_rejected_with_its_name(filled, tokens, how):
     _, text = create_token(tokens, "ann", "admin", days=1e-6 if how == "expired" else None)
     if how == "revoked":
         revoke_token(tokens, "ann")
@@ -171,7 +171,7 @@ def test_a_token_that_opens_no_more_is_refused_by_its_name(filled, tokens, how):
     assert f"The token of ann is {how}." in answer.text
 
 
-def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled, tokens):
+def test_wrong_tokens_are_rate_limited_and_a_valid_one_is_accepted(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answers = [api.get(DUE, headers={"Authorization": "Bearer x"}) for _ in range(MOST_WRONG + 5)]
@@ -181,8 +181,8 @@ def test_wrong_tokens_are_bounded_and_a_right_one_is_let_in_all_the_same(filled,
         assert api.get(DUE, headers={"Authorization": f"Bearer {text}"}).status_code == 200
 
 
-def test_a_token_is_never_told(filled, tokens, caplog):
-    """Neither in an answer, nor in the log, the audit or the file of hashes; and a URL opens nothing."""
+def test_a_token_is_never_exposed(filled, tokens, caplog):
+    """It is in no response, log, audit entry or token file, and a URL with it is not authenticated."""
     caplog.set_level(logging.DEBUG)
     _, text = create_token(tokens, "ann", "viewer")
     wrong = "w" * 43
@@ -197,12 +197,12 @@ def test_a_token_is_never_told(filled, tokens, caplog):
         ]
     assert [answer.status_code for answer in answers] == [401, 401, 401, 401, 422, 401]
     ours = [record for record in caplog.records if not record.name.startswith(("httpx", "httpcore"))]
-    told = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
-    told += "".join(record.getMessage() for record in ours)
+    output = "".join(answer.text for i, answer in enumerate(answers) if i != 1)
+    output += "".join(record.getMessage() for record in ours)
     for path in filled.folder.rglob("*.json*"):
-        told += path.read_text(encoding="utf-8")
-    assert text not in told
-    assert wrong not in told
+        output += path.read_text(encoding="utf-8")
+    assert text not in output
+    assert wrong not in output
 
 
 def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
@@ -241,7 +241,7 @@ def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
         "C:%5ctokens.json",
     ],
 )
-def test_no_path_leads_out_of_the_page_s_files(filled, tokens, path):
+def test_no_path_escapes_the_files_of_the_page(filled, tokens, path):
     create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answer = api.get(httpx.URL(f"{service.url}static/{path}"))
@@ -258,7 +258,7 @@ def test_an_oversized_cookie_is_refused(filled):
 @pytest.mark.parametrize(
     ("headers", "status"), [({"Host": "evil.example"}, 400), ({"Origin": "http://evil.example"}, 403)]
 )
-def test_a_token_does_not_open_to_a_foreign_host_or_origin(filled, tokens, headers, status):
+def test_a_token_is_rejected_for_a_foreign_host_or_origin(filled, tokens, headers, status):
     _, text = create_token(tokens, "ann", "admin")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         bearer = {"Authorization": f"Bearer {text}"}
@@ -272,33 +272,33 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
         served(filled.settings, filled.folder) as service,
         service.client(Authorization=f"Bearer {text}") as api,
     ):
-        made = api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"})
-        assert made.status_code == 201
+        created = api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"})
+        assert created.status_code == 201
         assert api.post("/api/v1/tokens", json={"name": "bob", "role": "viewer"}).status_code == 409
-        bob = {"Authorization": f"Bearer {made.json()['token']}"}
+        bob = {"Authorization": f"Bearer {created.json()['token']}"}
         until(lambda: api.get(DUE, headers=bob).status_code == 200, "the new token being known")
         assert api.delete("/api/v1/tokens/bob").json()["state"] == "revoked"
         assert "sha256" not in api.get("/api/v1/tokens").text
         first = api.get("/api/v1/audit?limit=1").json()
         rest = api.get("/api/v1/audit", params={"limit": 99, "cursor": first["next_cursor"]}).json()
-    told = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
-    assert told == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
+    entries = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
+    assert entries == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
 
 
-# Others than this machine
+# Other hosts
 
 
 @pytest.fixture
-def far(filled, tokens):
-    """A service with TLS under a name of its own."""
+def tls_service(filled, tokens):
+    """Return a service with TLS and its own host name."""
     web = {"host_names": ["lab.example.org"], **ENCRYPTED}
     _, text = create_token(tokens, "ann", "operator")
     with served(Settings(web=web), filled.folder) as service:
         yield service, f"https://127.0.0.1:{service.netloc.rpartition(':')[2]}", text
 
 
-def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
-    service, url, text = far
+def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(tls_service):
+    service, url, text = tls_service
     assert service.url.startswith("https://lab.example.org:")
     trusted = ssl.create_default_context(cafile=ENCRYPTED["tls_certificate"])
     with httpx.Client(base_url=url, verify=trusted, timeout=DEADLINE_S) as api:
@@ -316,8 +316,8 @@ def test_over_tls_the_cookie_is_secure_and_only_known_names_are_served(far):
         assert api.post("/api/v1/commands", json=HOLD, headers=origin).status_code == 403
 
 
-def test_plain_http_at_the_tls_port_gets_nothing_and_hurts_nobody(far, caplog):
-    _, url, text = far
+def test_plain_http_at_the_tls_port_gets_no_response_and_disturbs_no_client(tls_service, caplog):
+    _, url, text = tls_service
     host, port = url.removeprefix("https://").split(":")
     with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as plain:
         plain.sendall(
@@ -346,7 +346,7 @@ def test_a_handshake_that_never_ends_is_ended(filled, tokens, monkeypatch):
             assert silent.recv(1) == b""
 
 
-def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens):
+def test_behind_a_proxy_only_encrypted_requests_are_served(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     web = {"host_names": ["lab.example.org"], "proxy": "127.0.0.1"}
     forwarded = {"Host": "lab.example.org", "X-Forwarded-For": "10.1.2.3", "Authorization": f"Bearer {text}"}
@@ -358,17 +358,17 @@ def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens
         assert api.get(DUE, headers=local).status_code == 200
         wrong = forwarded | {"X-Forwarded-Proto": "https", "Authorization": "Bearer x"}
         assert api.get(DUE, headers=wrong).status_code == 401
-    assert [deed.source for deed in deeds(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
+    assert [deed.source for deed in audit_entries(filled.folder, what="enter")] == ["10.1.2.3", "10.1.2.3"]
 
 
-def test_without_a_stated_proxy_nobody_is_believed_who_asks(filled, tokens):
+def test_forwarded_addresses_are_ignored_without_a_configured_proxy(filled, tokens):
     create_token(tokens, "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         api.get(DUE, headers={"X-Forwarded-For": "10.1.2.3", "Authorization": "Bearer x"})
-    assert [deed.source for deed in deeds(filled.folder)] == ["127.0.0.1"]
+    assert [deed.source for deed in audit_entries(filled.folder)] == ["127.0.0.1"]
 
 
-def test_doors_without_locks_are_refused_at_the_start(tmp_path, tokens):
+def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_path, tokens):
     web = WebSettings(host="0.0.0.0", host_names=("lab.example.org",), **ENCRYPTED)
     with pytest.raises(UsageError, match=r"holds no valid access token.*solimon token create") as refused:
         refuse_open_doors(web, tmp_path)
@@ -390,13 +390,13 @@ def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tm
     for _ in range(150):
         audit.tell(**stranger, result="refused")
     audit.tell(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
-    found = deeds(tmp_path)
+    found = audit_entries(tmp_path)
     assert len(found) == 101
     assert (found[-1].who, found[-1].left_out) == ("ann", 50)
     now_s[0] += 121.0
     audit.tell(**stranger, result="refused")
     audit.tell(**stranger, result="refused")
-    assert len(deeds(tmp_path)) == 102
+    assert len(audit_entries(tmp_path)) == 102
 
 
 def test_a_torn_line_takes_no_other_with_it(tmp_path):
@@ -410,7 +410,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
     assert ([number for number, _ in found], before) == ([2, 1], None)
 
 
-def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
+def test_pages_of_the_audit_log_are_complete(tmp_path):
     audit = Audit(tmp_path)
     for number in range(25):
         audit.tell(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
@@ -425,7 +425,7 @@ def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
 
 @pytest.fixture
 def audited(tmp_path):
-    """25 deeds at one second each, from 2024-01-01T00:00:00Z: a hold and a stop in turns, of two people."""
+    """Return 25 audit entries, one per second from 2024-01-01T00:00:00Z, of two people in turns."""
     audit = Audit(tmp_path)
     for number in range(25):
         audit.tell(
@@ -451,7 +451,7 @@ def audited(tmp_path):
         ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
     ],
 )
-def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkeypatch, query, found):
+def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
     monkeypatch.setattr("daq_service.commands.audit.newest_lines", partial(newest_lines, most_lines=7))
     seen, cursor = [], {}
     while True:
@@ -465,7 +465,7 @@ def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkey
 
 
 @pytest.mark.parametrize(
-    ("query", "words"),
+    ("query", "message"),
     [
         ({"what": "hold,explode"}, "what names 'explode'"),
         ({"result": "maybe"}, "query /result"),
@@ -474,13 +474,13 @@ def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkey
         ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
     ],
 )
-def test_a_filter_of_the_audit_that_means_nothing_is_refused(audited, query, words):
+def test_an_invalid_audit_filter_is_rejected(audited, query, message):
     answer = audited.get("/api/v1/audit", params=query)
     assert answer.status_code == 422
-    assert words in answer.json()["detail"]
+    assert message in answer.json()["detail"]
 
 
-def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, tokens):
+def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, tokens):
     _, text = create_token(tokens, "ann", "operator")
     bearer = {"Authorization": f"Bearer {text}"}
     foreign = {"Host": f"{'evil.' * 200}example"}
@@ -491,7 +491,7 @@ def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, toke
         assert api.post("/api/v1/commands", json=HOLD, headers={"Origin": "http://x"}).status_code == 403
         with pytest.raises(InvalidStatus):
             connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin="http://x").close()
-    invalid, host, *origins = deeds(filled.folder)
+    invalid, host, *origins = audit_entries(filled.folder)
     assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
     assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
     assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_WHY)
@@ -499,7 +499,7 @@ def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, toke
     assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
 
 
-def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch, caplog):
+def test_a_full_audit_log_does_not_prevent_a_pause(filled, monkeypatch, caplog):
     def refuse(*_):
         raise OSError(28, os.strerror(28))
 

@@ -1,4 +1,4 @@
-"""A test that nobody records: acknowledged by the service itself, and given no other orders."""
+"""A test without a recorder: the service acknowledges alarms and rejects other commands."""
 
 import errno
 import os
@@ -32,7 +32,7 @@ def ordered(api, kind, author="Ada", **arguments):
     return api.post("/api/v1/commands", json={"kind": kind, "author": author, "arguments": arguments})
 
 
-def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
+def test_an_acknowledgement_is_done_within_its_request(ended):
     filled, api = ended
     answer = api.post("/api/v1/alarms/1/acknowledge", json={"author": "Ada", "note": "seen"})
     assert (answer.status_code, answer.json()["state"], answer.json()["result"]) == (
@@ -56,21 +56,21 @@ def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
     again.close()
 
 
-@pytest.mark.parametrize("said", [True, False])
-def test_other_orders_are_refused_with_what_would_help(ended, said):
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_commands_are_rejected_with_a_remedy(ended, finished):
     filled, api = ended
-    if not said:  # killed: nothing tells that it has ended but the lock
+    if not finished:  # killed: only the lock shows that it has ended
         again = FilledFolder(filled.folder, filled.settings, begun=True)
         again.say("recorder_started")
         again.close()
     body = ordered(api, "hold", note="door open").json()
-    why = "The recorder has finished" if said else "Nobody records this test"
-    assert (body["status"], body["detail"]) == (409, f"{why}: nobody would carry this out.")
+    reason = "The recorder has finished" if finished else "Nobody records this test"
+    assert (body["status"], body["detail"]) == (409, f"{reason}: nobody would carry this out.")
     assert "solimon run" in body["hint"]
     assert api.get("/api/v1/commands/1").status_code == 404
 
 
-def test_a_recorder_that_lingers_is_given_the_order(ended):
+def test_a_finished_recorder_that_still_runs_gets_the_command(ended):
     filled, api = ended
     lingering = FilledFolder(filled.folder, filled.settings, begun=True)
     lingering.say("schedule_done")
@@ -78,7 +78,7 @@ def test_a_recorder_that_lingers_is_given_the_order(ended):
     lingering.close()
 
 
-def test_a_folder_that_cannot_be_written_is_served_and_says_so(ended, monkeypatch):
+def test_a_read_only_folder_is_served_and_rejects_commands(ended, monkeypatch):
     filled, api = ended
     opened = Path.open
 
@@ -98,12 +98,12 @@ def shelve(api, **body):
     return ordered(api, "shelve_alarm", **{"alarm_id": 1, "for_h": 8.0, "reason": "known", **body})
 
 
-def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
+def test_a_shelved_alarm_is_counted_separately_with_its_expiry(ended):
     _, api = ended
     assert shelve(api).json()["state"] == "done"
     alarm = api.get("/api/v1/alarms/1").json()
-    told = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
-    assert told == ("unacknowledged", "shelved", "Ada")
+    state = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
+    assert state == ("unacknowledged", "shelved", "Ada")
     assert alarm["shelved_until_utc"] == "2024-01-01T09:00:00Z"
     place = api.get("/api/v1/transducers/B").json()
     assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "shelved")
@@ -121,7 +121,7 @@ def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
     ]
 
 
-def test_a_shelf_ends_in_real_time_though_nobody_records(ended, monkeypatch):
+def test_a_shelf_ends_in_real_time_without_a_recorder(ended, monkeypatch):
     _, api = ended
     shelve(api, for_h=8.0)
     later_ns = time.time_ns() + 9 * NS_PER_H

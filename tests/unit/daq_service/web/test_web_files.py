@@ -1,4 +1,4 @@
-"""Finished files by HTTP: whole, in ranges, only what the catalogue names, only when it changed."""
+"""Finished files over HTTP: whole, in ranges, only files of the catalogue, only if changed."""
 
 import hashlib
 import io
@@ -48,11 +48,11 @@ def test_a_file_is_the_one_on_the_disk_as_the_catalogue_names_it(api, file):
 
 
 @pytest.mark.parametrize(
-    ("asked", "part"),
+    ("range_header", "part"),
     [("0-7", slice(0, 8)), ("100-", slice(100, None)), ("-64", slice(-64, None)), ("5-5", slice(5, 6))],
 )
-def test_a_range_is_those_bytes_also_for_who_takes_gzip(api, file, asked, part):
-    headers = {"Range": f"bytes={asked}", "Accept-Encoding": "gzip"}
+def test_a_range_has_exact_bytes_also_with_gzip(api, file, range_header, part):
+    headers = {"Range": f"bytes={range_header}", "Accept-Encoding": "gzip"}
     answer = api.get(f"/api/v1/files/{file.name}", headers=headers)
     content = file.read_bytes()
     assert (answer.status_code, answer.content) == (206, content[part])
@@ -62,14 +62,14 @@ def test_a_range_is_those_bytes_also_for_who_takes_gzip(api, file, asked, part):
 
 
 @pytest.mark.parametrize(
-    "asked", ["bytes=9999999-", "bytes=7-3", "bytes=-0", "bytes=x", "lines=1-2", "bytes=0-1,5-6"]
+    "range_header", ["bytes=9999999-", "bytes=7-3", "bytes=-0", "bytes=x", "lines=1-2", "bytes=0-1,5-6"]
 )
-def test_a_range_that_cannot_be_is_a_problem(api, file, asked):
-    answer = api.get(f"/api/v1/files/{file.name}", headers={"Range": asked})
+def test_an_invalid_range_is_a_problem(api, file, range_header):
+    answer = api.get(f"/api/v1/files/{file.name}", headers={"Range": range_header})
     assert (answer.status_code, answer.headers["content-type"]) == (416, "application/problem+json")
 
 
-def test_what_a_client_has_is_not_sent_again(api, file):
+def test_an_unchanged_response_is_not_sent_again(api, file):
     path = f"/api/v1/files/{file.name}"
     etag = api.get(path).headers["etag"]
     same = api.get(path, headers={"If-None-Match": etag})
@@ -81,7 +81,7 @@ def test_what_a_client_has_is_not_sent_again(api, file):
 @pytest.mark.parametrize(
     "name",
     [
-        "set_000009_secret.h5",  # lies there, but is none of the catalogue's
+        "set_000009_secret.h5",  # exists, but is not in the catalogue
         "set_000002_20240101T013000Z.h5",  # has no file yet
         "..%2fcatalogue.sqlite",
         "..%2f..%2f..%2fetc%2fpasswd",
@@ -101,7 +101,7 @@ def test_what_a_client_has_is_not_sent_again(api, file):
         "set_000000_20240101T000000Z.h5:stream",
     ],
 )
-def test_only_names_of_the_catalogue_lead_to_files(api, name):
+def test_only_files_of_the_catalogue_are_served(api, name):
     answer = api.get(f"/api/v1/files/{name}")
     assert answer.status_code == 404
     assert answer.headers["content-type"] == "application/problem+json"
@@ -110,14 +110,14 @@ def test_only_names_of_the_catalogue_lead_to_files(api, name):
 @pytest.mark.parametrize(
     "position", ["..%2fcatalogue.sqlite", "..%5cB", "%2fetc", "%00", "NUL", "B%2f..%2fC", "C:"]
 )
-def test_no_position_leads_out_of_the_folder(api, position):
+def test_no_position_escapes_the_folder(api, position):
     for path in (f"sets/{position}/0/waveforms", f"waveforms/{position}/0/0", f"waveforms/live/{position}"):
         answer = api.get(f"/api/v1/{path}")
         assert answer.status_code in {404, 422}, "422: what lies between the slashes is no number"
         assert answer.headers["content-type"] == "application/problem+json"
 
 
-def test_a_link_out_of_the_folder_is_not_followed(filled, api, file, tmp_path):
+def test_a_link_to_another_folder_is_not_followed(filled, api, file, tmp_path):
     elsewhere = tmp_path / "elsewhere.h5"
     file.rename(elsewhere)
     try:

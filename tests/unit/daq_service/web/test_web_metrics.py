@@ -1,4 +1,4 @@
-"""`/metrics` is OpenMetrics, says what the page says, and reads no history."""
+"""`/metrics` is OpenMetrics, agrees with the page, and reads no history."""
 
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from support.filled_folder import LIMIT_F, FilledFolder
@@ -22,7 +22,7 @@ def value(found, name, **labels):
     return found[(f"solimon_{name}", frozenset(labels.items()))]
 
 
-def test_metrics_say_what_the_page_says(tmp_path):
+def test_metrics_agree_with_the_page(tmp_path):
     folder = FilledFolder(tmp_path, Settings(), shots_per_set=2)
     with served(folder.settings, tmp_path) as service, service.client() as api:
         empty = samples(api)

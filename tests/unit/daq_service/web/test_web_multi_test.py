@@ -1,4 +1,4 @@
-"""Several tests in one service: named, listed with what ails them, opened when asked for; one login."""
+"""Several tests in one service: names, errors in the list, opening on request, one login."""
 
 import asyncio
 import shutil
@@ -79,7 +79,7 @@ def test_names_that_are_taken_are_numbered():
     assert url_names(["Hole", "hole", "Hole 2", "HOLE!"]) == ["hole", "hole-2", "hole-2-2", "hole-3"]
 
 
-def test_the_list_tells_how_each_test_stands(several):
+def test_the_list_has_the_status_of_each_test(several):
     listed = several.listed()
     assert list(listed) == ["hole-nr-2", "hole-its-twin"]
     hole, twin = listed.values()
@@ -138,7 +138,7 @@ def test_a_problem_names_the_whole_path_and_an_unknown_test_the_list(several):
     assert "/tests/NAME/api/v1" in problem["hint"]
 
 
-def test_the_streams_of_a_test_tell_of_that_test_alone(several):
+def test_the_stream_of_a_test_has_only_its_own_events(several):
     with (
         several.service.client() as reader,
         reader.stream("GET", "/tests/hole-its-twin/api/v1/stream?topics=service") as stream,
@@ -162,7 +162,7 @@ def test_streams_of_all_tests_share_one_budget(several, monkeypatch):
     assert (refused.status_code, refused.json()["type"]) == (503, "urn:solimon:problem:too-many-streams")
 
 
-def test_metrics_bear_the_name_of_the_test(several):
+def test_metrics_have_the_name_of_the_test(several):
     text = several.client.get("/metrics").text
     families = {family.name: family for family in text_string_to_metric_families(text)}
     hours = {s.labels["test"]: s.value for s in families["solimon_test_hours"].samples}
@@ -179,7 +179,7 @@ def test_metrics_bear_the_name_of_the_test(several):
     )
 
 
-def test_an_order_is_audited_in_the_folder_of_its_test(several):
+def test_a_command_is_audited_in_the_folder_of_its_test(several):
     order = {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}}
     assert several.client.post("/tests/hole-nr-2/api/v1/commands", json=order).status_code == 202
     (entry, *_) = several.client.get("/tests/hole-nr-2/api/v1/audit").json()["items"]
@@ -208,7 +208,7 @@ def test_a_socket_of_a_test_that_is_not_there_is_refused(several):
         pass
 
 
-def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_path, several):
+def test_an_unreadable_folder_is_listed_with_its_remedy_and_disturbs_no_other(tmp_path, several):
     missing, empty, foreign = tmp_path / "missing", tmp_path / "empty", tmp_path / "foreign"
     damaged, other, refused = tmp_path / "damaged", tmp_path / "other", tmp_path / "refused.toml"
     empty.mkdir()
@@ -218,8 +218,8 @@ def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_p
         shutil.copytree(several.twin.folder, folder)
         (folder / "experiment.json").unlink(missing_ok=True)
     (damaged / "catalogue.sqlite").write_bytes(b"no database at all" * 1000)
-    for beside in ("-wal", "-shm"):
-        (damaged / f"catalogue.sqlite{beside}").unlink(missing_ok=True)
+    for suffix in ("-wal", "-shm"):
+        (damaged / f"catalogue.sqlite{suffix}").unlink(missing_ok=True)
     database = sqlite3.connect(other / "catalogue.sqlite")
     database.execute("UPDATE alembic_version SET version_num = '9999'")
     database.commit()
@@ -246,7 +246,7 @@ def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_p
     assert after == before, "nothing is made by looking"
 
 
-def test_a_test_that_begins_later_appears_under_the_name_it_was_told_with(tmp_path, monkeypatch):
+def test_a_test_that_starts_later_appears_under_its_configured_name(tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.multi_test.listing.CHANGING_S", 0.0)
     folder = tmp_path / "Plate 7"
     folder.mkdir()
@@ -298,7 +298,7 @@ def inside(service):
     return service.app.state.tests
 
 
-def test_a_test_is_open_while_it_is_used_and_a_few_of_the_last_ones_stay(several, tmp_path, monkeypatch):
+def test_used_and_a_few_recent_tests_stay_open(several, tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.multi_test.open_tests.MOST_IDLE", 1)
     app = app_of(several.hole.folder, several.twin.folder, own=tmp_path)
     with served_app(app) as service, service.client() as client, service.client() as reader:
@@ -323,7 +323,7 @@ def test_a_test_is_open_while_it_is_used_and_a_few_of_the_last_ones_stay(several
         assert client.get("/tests/hole-nr-2/api/v1/info").json()["name"] == HOLE.name
 
 
-def test_a_test_whose_alarms_are_sent_elsewhere_is_open_from_the_start_and_stays(several, tmp_path):
+def test_a_test_with_receivers_is_open_from_the_start(several, tmp_path):
     (tmp_path / "watched").mkdir()
     watched = FilledFolder(tmp_path / "watched", notifying())
     watched.add_set(0, stored=False)
@@ -338,7 +338,7 @@ def test_a_test_whose_alarms_are_sent_elsewhere_is_open_from_the_start_and_stays
     watched.close()
 
 
-def test_one_login_is_for_all_tests_and_for_nobody_else(several, tmp_path):
+def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path):
     _, viewer = create_token(tmp_path / "tokens.json", "vera", "viewer")
     _, admin = create_token(tmp_path / "tokens.json", "ada", "admin")
     app = app_of(several.hole.folder, several.twin.folder, own=tmp_path)
@@ -382,7 +382,7 @@ def test_a_test_whose_own_service_asks_for_tokens_is_not_shown_without_any(sever
         assert client.get("/tests/hole-nr-2/api/v1/info").status_code == 200
 
 
-def test_the_guard_stands_before_every_test(several):
+def test_the_token_check_applies_to_every_test(several):
     for path in ("/api/v1/tests", "/tests/hole-nr-2/api/v1/info"):
         assert several.client.get(path, headers={"Host": "evil.example"}).status_code == 400
     order = {"kind": "hold", "arguments": {"note": "x"}}

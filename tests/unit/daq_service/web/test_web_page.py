@@ -1,4 +1,4 @@
-"""The dashboard's page brings the first answers along: the API's, to whom may read them."""
+"""The page of the dashboard embeds the first API responses for authorized users."""
 
 import math
 
@@ -25,16 +25,16 @@ def filled(tmp_path):
     folder.close()
 
 
-def without_ages(told):
-    """Drop what grows between two answers."""
-    if isinstance(told, list):
-        return [without_ages(one) for one in told]
-    if not isinstance(told, dict):
-        return told
-    return {key: without_ages(value) for key, value in told.items() if key not in {"as_of", "age_h", "stale"}}
+def without_ages(data):
+    """Remove the values that grow between two responses."""
+    if isinstance(data, list):
+        return [without_ages(item) for item in data]
+    if not isinstance(data, dict):
+        return data
+    return {key: without_ages(value) for key, value in data.items() if key not in {"as_of", "age_h", "stale"}}
 
 
-def test_it_brings_what_the_api_answers_whatever_names_hold(filled):
+def test_the_page_embeds_api_responses_with_any_characters(filled):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answer = api.get("/")
         found = brought(answer.text)
@@ -46,7 +46,7 @@ def test_it_brings_what_the_api_answers_whatever_names_hold(filled):
     assert answer.headers["cache-control"] == "no-store"
 
 
-def test_where_a_token_is_asked_for_it_brings_nothing_of_the_test_without_one(filled):
+def test_a_page_without_a_required_token_has_no_test_data(filled):
     _, text = create_token(filled.folder / "tokens.json", "ann", "viewer")
     with served(filled.settings, filled.folder) as service, service.client() as api:
         for headers in ({}, {"Authorization": "Bearer wrong"}):
@@ -57,7 +57,7 @@ def test_where_a_token_is_asked_for_it_brings_nothing_of_the_test_without_one(fi
         assert found["/api/v1/session"]["name"] == "ann"
 
 
-def test_pages_share_answers_for_a_while(filled, monkeypatch):
+def test_pages_share_cached_responses(filled, monkeypatch):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         kept_s = {"hour": math.inf, "moment": -1.0}
 

@@ -1,4 +1,4 @@
-"""What the service refuses, and how it says so; what it writes."""
+"""Requests that the service rejects, their problem details, and its commands."""
 
 import orjson
 import pytest
@@ -174,7 +174,7 @@ def test_before_the_first_record_there_is_no_data(tmp_path):
         assert api.get("/api/v1/info").status_code == 200
 
 
-def test_damaged_catalogue_is_said_and_not_shown(tmp_path):
+def test_a_corrupt_catalogue_is_reported_and_not_shown(tmp_path):
     (tmp_path / CATALOGUE_FILE).write_bytes(b"no database at all" * 100)
     with served(Settings(), tmp_path) as service, service.client() as api:
         body = problem(api.get("/api/v1/info"), 503, "storage-unavailable")
@@ -182,7 +182,7 @@ def test_damaged_catalogue_is_said_and_not_shown(tmp_path):
         assert api.get("/healthz").json() == {"status": "ok", "data": False}
 
 
-def test_fault_of_the_service_hides_its_inside(tmp_path, caplog):
+def test_an_internal_error_hides_its_details(tmp_path, caplog):
     app = create_app(Settings(), tmp_path)
 
     async def broken() -> None:
@@ -228,7 +228,7 @@ def test_orders_and_streams_of_other_origins_are_refused_and_nothing_is_written(
     assert n_commands(filled) == before
 
 
-def test_body_beyond_the_limit_is_refused(api):
+def test_a_body_above_the_limit_is_rejected(api):
     big = orjson.dumps({"kind": "stop", "author": "x" * LARGEST_BODY_BYTES})
     headers = {"Content-Type": "application/json"}
     problem(api.post("/api/v1/commands", content=big, headers=headers), 413, "body-too-large")
@@ -254,7 +254,7 @@ def test_every_answer_has_its_headers(api):
 # Commands
 
 
-def test_order_becomes_a_row_and_is_followed(api, filled):
+def test_a_command_becomes_a_row_and_can_be_followed(api, filled):
     answer = api.post("/api/v1/commands", json={"kind": "finish_now", "author": "Ada"})
     assert answer.status_code == 202
     row = CommandRow.model_validate_json(answer.content, strict=True)
@@ -265,7 +265,7 @@ def test_order_becomes_a_row_and_is_followed(api, filled):
     assert (followed["state"], followed["result"]) == ("done", "no pacing from here on")
 
 
-def test_own_origin_may_order(api, service):
+def test_the_own_origin_may_send_commands(api, service):
     headers = {"Origin": f"http://{service.netloc}", "Sec-Fetch-Site": "same-origin"}
     assert api.post("/api/v1/commands", json={"kind": "stop"}, headers=headers).status_code == 202
 
@@ -281,7 +281,7 @@ def test_acknowledgement_becomes_a_row(api, filled, as_command):
     row = filled.catalogue.command(answer.json()["id"])
     assert row.kind == "acknowledge_alarm"
     assert row.arguments == {"alarm_id": 1, "note": "seen"}
-    # The service writes the order only: the recorder changes the alarm.
+    # The service only stores the command: the recorder changes the alarm.
     assert filled.catalogue.alarm(1).state == "unacknowledged"
 
 
@@ -319,7 +319,7 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ),
     ],
 )
-def test_invalid_order_points_at_its_part(api, filled, body, pointer):
+def test_an_invalid_command_is_rejected_with_a_pointer(api, filled, body, pointer):
     before = n_commands(filled)
     errors = problem(api.post("/api/v1/commands", json=body), 422, "invalid-request")["errors"]
     assert errors[0]["in"] == "body"
@@ -329,7 +329,7 @@ def test_invalid_order_points_at_its_part(api, filled, body, pointer):
 
 @pytest.fixture
 def lab(tmp_path):
-    """A folder of its own: these orders depend on what was ordered before."""
+    """Return a separate folder, as these commands depend on earlier ones."""
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:
@@ -342,7 +342,7 @@ def ordered(api, kind, **arguments):
     return api.post("/api/v1/commands", json=body)
 
 
-def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
+def test_pause_and_resume_become_rows_or_are_rejected(lab):
     filled, api = lab
     problem(ordered(api, "release"), 409, "conflict")
     assert ordered(api, "hold", note="door open").status_code == 202
@@ -356,7 +356,7 @@ def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
     assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
 
 
-def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(lab):
+def test_disable_and_enable_become_rows_or_are_rejected(lab):
     filled, api = lab
     for position in ("Z", "A"):
         for kind in ("retire", "reinstate"):
@@ -378,7 +378,7 @@ def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(l
 SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL"}
 
 
-def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, lab):
+def test_the_supply_is_switched_by_a_named_author(tmp_path, lab):
     _, api = lab
     assert "no supply" in problem(ordered(api, "supply_on"), 409, "conflict")["detail"]
     (tmp_path / "with").mkdir()
@@ -404,7 +404,7 @@ def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, la
         ("reinstate", {"position": "B"}),
     ],
 )
-def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
+def test_a_stopped_recorder_accepts_no_supply_command(lab, kind, arguments):
     filled, api = lab
     filled.say("recorder_stopped", filled.due[0].due_utc_ns)
     assert "has stopped" in problem(ordered(api, kind, **arguments), 409, "conflict")["detail"]
@@ -418,7 +418,7 @@ def test_order_that_is_not_json_is_refused(api):
     problem(answer, 422, "invalid-request")
 
 
-def test_orders_need_somebody_to_carry_them_out(tmp_path):
+def test_commands_need_a_recorder(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:

@@ -46,8 +46,8 @@ def api(service):
         yield client
 
 
-def exported(api, position, form, **asked):
-    answer = api.get(f"/api/v1/waveforms/{position}", params={"format": form, **asked})
+def exported(api, position, form, **query):
+    answer = api.get(f"/api/v1/waveforms/{position}", params={"format": form, **query})
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"].partition(";")[0] == FORMATS[form].media_type
     return answer.content
@@ -58,8 +58,8 @@ def read_npz(content):
         return dict(arrays)
 
 
-def test_every_format_has_the_records_and_what_is_known_of_them(api, filled, service):
-    asked = {"from_h": 1.0, "to_h": 2.0}
+def test_every_format_has_the_records_and_their_metadata(api, filled, service):
+    query = {"from_h": 1.0, "to_h": 2.0}
     with client.open(service.url) as test:
         waves = test.waveforms("B", from_h=1.0, to_h=2.0)
     taken = [record for index in (1, 2) for record in filled.records(index) if record.key.position == "B"]
@@ -74,14 +74,14 @@ def test_every_format_has_the_records_and_what_is_known_of_them(api, filled, ser
         "sample_rate_hz": [taken[0].waveform.sample_rate_hz] * len(taken),
     }
 
-    csv = pd.read_csv(io.BytesIO(exported(api, "B", "csv", **asked)))
+    csv = pd.read_csv(io.BytesIO(exported(api, "B", "csv", **query)))
     names = [f"set_{record.key.set_index}_shot_{record.key.shot_index}_good_v" for record in taken]
     assert list(csv) == ["time_s", *names]
     np.testing.assert_array_equal(csv.to_numpy().T, [time_s, *volts], err_msg="to the last bit")
 
     for table in (
-        parquet.read_table(io.BytesIO(exported(api, "B", "parquet", **asked))),
-        pyarrow.ipc.open_stream(exported(api, "B", "arrow", **asked)).read_all(),
+        parquet.read_table(io.BytesIO(exported(api, "B", "parquet", **query))),
+        pyarrow.ipc.open_stream(exported(api, "B", "arrow", **query)).read_all(),
     ):
         np.testing.assert_array_equal(np.stack(table["voltage_v"].to_pandas().to_numpy()), volts)
         for name, values in facts.items():
@@ -90,9 +90,9 @@ def test_every_format_has_the_records_and_what_is_known_of_them(api, filled, ser
         assert table.schema.field("voltage_v").metadata == {b"unit": b"V"}
         assert json.loads(table.schema.metadata[b"solimon"])["n_unreadable"] == 0
 
-    arrays = read_npz(exported(api, "B", "npz", **asked))
-    struct = loadmat(io.BytesIO(exported(api, "B", "mat", **asked)), squeeze_me=True)["waveforms"]
-    with h5py.File(io.BytesIO(exported(api, "B", "h5", **asked))) as file:
+    arrays = read_npz(exported(api, "B", "npz", **query))
+    struct = loadmat(io.BytesIO(exported(api, "B", "mat", **query)), squeeze_me=True)["waveforms"]
+    with h5py.File(io.BytesIO(exported(api, "B", "h5", **query))) as file:
         group = file[file.attrs["default"]][file["entry"].attrs["default"]]
         assert (group.attrs["signal"], [*group.attrs["axes"]]) == ("voltage_v", ["sequence", "time_s"])
         assert (group["voltage_v"].attrs["units"], group["time_s"].attrs["units"]) == ("V", "s")
@@ -121,13 +121,13 @@ def test_viewers_plot_the_records_over_time(api, tmp_path):
 
 
 def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
-    for asked, sets in (
+    for query, sets in (
         ({"first_set": 2}, [2, 4]),
         ({"first_set": 2, "to_h": 2.0}, [2]),
         ({}, [1, 2, 4]),
         ({"from_h": 1.5, "last_set": 4}, [2, 4]),
     ):
-        found = read_npz(exported(api, "C", "npz", **asked))
+        found = read_npz(exported(api, "C", "npz", **query))
         assert found["set_index"].tolist() == [index for index in sets for _ in range(SHOTS)]
     answer = api.get("/api/v1/waveforms/C?first_set=1&last_set=1", headers={"Accept": "application/x-npz"})
     assert answer.headers["content-type"] == "application/x-npz"
@@ -136,7 +136,7 @@ def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "said"),
+    ("query", "status", "message"),
     [
         ("X", 404, "The positions are A, B, C, D"),
         ("B?first_set=3&last_set=3", 404, "is stored in these sets"),
@@ -147,13 +147,13 @@ def test_sets_or_hours_are_chosen_and_the_header_accept_chooses_the_format(api):
         ("B?last_set=-1", 422, "last_set"),
     ],
 )
-def test_what_cannot_be_exported_is_told(api, asked, status, said):
-    answer = api.get(f"/api/v1/waveforms/{asked}")
+def test_an_impossible_export_is_rejected_with_its_reason(api, query, status, message):
+    answer = api.get(f"/api/v1/waveforms/{query}")
     assert answer.status_code == status
-    assert said in answer.text
+    assert message in answer.text
 
 
-def test_what_is_too_much_is_refused_with_the_limit_and_what_helps(api, filled, monkeypatch):
+def test_a_too_large_export_is_rejected_with_limit_and_remedy(api, filled, monkeypatch):
     record, *_ = [r for r in filled.records(1) if r.key.position == "B" and r.key.shot_index == 0]
     one_set = 8 * SHOTS * record.waveform.counts.size
     monkeypatch.setattr(record_files, "MOST_BYTES", one_set)
@@ -168,7 +168,7 @@ def test_what_is_too_much_is_refused_with_the_limit_and_what_helps(api, filled, 
     assert "more than 2 sets" in api.get("/api/v1/waveforms/B?format=npz").json()["detail"]
 
 
-def test_a_record_that_cannot_be_read_any_more_is_told_and_has_no_volts(tmp_path):
+def test_an_unreadable_record_is_marked_and_has_no_voltages(tmp_path):
     filled = FilledFolder(tmp_path, Settings(), shots_per_set=SHOTS)
     for index in (0, 1):
         filled.add_set(index)

@@ -1,4 +1,4 @@
-"""A report says what the client says, reads alone, and is made by command and by the service."""
+"""A report agrees with the client, is self-contained, and is made by command and service."""
 
 import json
 import re
@@ -43,7 +43,7 @@ def filled(tmp_path_factory):
     for index in range(N_SETS):
         folder.add_set(index, stored=index in (0, N_SETS - 1))
     alarm = folder.add_alarm("B", 52)
-    folder.acknowledge(alarm, Order(author="ann", arguments={"note": NOTE}, id=give(folder)))
+    folder.acknowledge(alarm, CommandDouble(author="ann", arguments={"note": NOTE}, id=give(folder)))
     folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
     folder.annotate(20.0, "door open")
@@ -53,8 +53,8 @@ def filled(tmp_path_factory):
     folder.close()
 
 
-class Order:
-    """As the recorder has it while it carries an order out."""
+class CommandDouble:
+    """Command row as the recorder has it during the execution."""
 
     def __init__(self, **facts):
         self.__dict__.update(facts)
@@ -79,7 +79,7 @@ def missed(folder, index):
 
 
 class Page(HTMLParser):
-    """Rows of the tables below each heading, all words, and what the page would load."""
+    """Table rows below each heading, all words, and the resources that the page would load."""
 
     def __init__(self, content):
         super().__init__()
@@ -88,11 +88,11 @@ class Page(HTMLParser):
         self.feed(content.decode())
 
     def handle_starttag(self, tag, attrs):
-        told = dict(attrs)
+        attributes = dict(attrs)
         self._tag = tag
-        self.ids += [told["id"]] if "id" in told else []
+        self.ids += [attributes["id"]] if "id" in attributes else []
         self.loaded += [value for name, value in attrs if name in ("src", "data", "srcset")]
-        href = told.get("href") or told.get("xlink:href") or "#"
+        href = attributes.get("href") or attributes.get("xlink:href") or "#"
         self.loaded += [] if href.startswith("#") else [href]
         if tag in ("script", "link", "iframe"):
             self.loaded.append(tag)
@@ -116,8 +116,8 @@ class Page(HTMLParser):
             self._heading = data
 
 
-def made(folder, *words):
-    done = CliRunner().invoke(cli, ["report", str(folder), *map(str, words)], catch_exceptions=False)
+def make_report(folder, *arguments):
+    done = CliRunner().invoke(cli, ["report", str(folder), *map(str, arguments)], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done
 
@@ -125,11 +125,11 @@ def made(folder, *words):
 @pytest.fixture(scope="module")
 def page(filled, tmp_path_factory):
     target = tmp_path_factory.mktemp("out") / "report.html"
-    made(filled.folder, "--out", target)
+    make_report(filled.folder, "--out", target)
     return Page(target.read_bytes())
 
 
-def test_the_tables_have_the_figures_of_the_client(filled, page):
+def test_the_tables_have_the_numbers_of_the_client(filled, page):
     with client.open(filled.folder) as test:
         for position, names in {"A": ["Wall thickness"], **dict.fromkeys("BCD", list(OF_SERIES)[:3])}.items():
             rows = {row[0]: row[1:] for row in page.tables[f"Position {position}"]}
@@ -156,7 +156,7 @@ def decides(alarms):
     return dict(_what_decides(Settings(alarms=alarms)))
 
 
-def test_what_raises_the_alarm_is_told_by_what_decides():
+def test_the_report_describes_the_configured_alarm_rule():
     by_chart = decides({"false_alarms_per_sensor_year": 0.5})
     assert by_chart["Alarm"].startswith(
         "by the chart beyond its limit, made for 0.5 false alarms a sensor and year"
@@ -169,9 +169,9 @@ def test_what_raises_the_alarm_is_told_by_what_decides():
 
 
 def test_each_figure_shows_each_set_where_it_belongs(filled):
-    told = read_contents(filled.folder)
+    report_contents = read_contents(filled.folder)
     with client.open(filled.folder) as test:
-        for place in told.places:
+        for place in report_contents.places:
             columns = {
                 "A": [("thickness_m", test.thickness("A"))],
             }.get(
@@ -182,7 +182,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                     ("distance_squared", test.assessments(place.name)),
                 ],
             )
-            svg = ElementTree.fromstring(figure_of(told, place))
+            svg = ElementTree.fromstring(figure_of(report_contents, place))
             groups = {group.get("id"): group for group in svg.iter("{http://www.w3.org/2000/svg}g")}
             for name, table in columns:
                 drawn = [
@@ -192,14 +192,14 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
                 assert len(drawn) == len(table) == N_SETS
                 values = np.log(table[name]) if name == "distance_squared" else table[name]
                 for along, expected in ((0, table["due_h"]), (1, values)):
-                    places = [point[along] for point in drawn]
-                    slope, offset = np.polyfit(expected, places, 1)
+                    coordinates = [point[along] for point in drawn]
+                    slope, offset = np.polyfit(expected, coordinates, 1)
                     # SVG has six decimals of a point.
-                    np.testing.assert_allclose(slope * expected + offset, places, rtol=0, atol=1e-4)
+                    np.testing.assert_allclose(slope * expected + offset, coordinates, rtol=0, atol=1e-4)
                     assert (slope > 0) == (along == 0), "down is up"
 
 
-def test_it_tells_gaps_alarms_proof_history_and_orders(page):
+def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
     assert [row for row in page.tables["Gaps"] if row[0] == "D"] == [
         ["D", "missed", "held", "28.50", "29.00", "2"],
         ["D", "missed", "held", "30.00", "30.00", "1"],
@@ -231,7 +231,7 @@ def test_it_tells_gaps_alarms_proof_history_and_orders(page):
     assert any(NOTE in word for word in page.words), "as it was written, and no markup"
 
 
-def test_it_reads_alone_and_every_name_is_there_once(page):
+def test_the_report_is_self_contained_with_unique_ids(page):
     assert page.loaded == []
     assert len(set(page.ids)) == len(page.ids)
 
@@ -245,13 +245,13 @@ def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypat
         return reading.thickness_m - 1e-5, reading.thickness_m + 2e-5
 
     monkeypatch.setattr(contents, "thickness_interval_m", interval_m)
-    told = Page(report_page(filled.folder, from_h=27.0))
+    later_page = Page(report_page(filled.folder, from_h=27.0))
     low, high = interval_m(newest)
-    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in told.words
+    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in later_page.words
 
 
-def test_some_hours_are_chosen(filled, tmp_path):
-    made(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
+def test_a_range_of_hours_can_be_chosen(filled, tmp_path):
+    make_report(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
     part = Page((tmp_path / "part.html").read_bytes())
     rows = {row[0]: row for row in part.tables["Position B"]}
     with client.open(filled.folder) as test:
@@ -264,28 +264,28 @@ def test_some_hours_are_chosen(filled, tmp_path):
     assert [row[3] for row in part.tables["Annotations"][1:]] == ["couplant <renewed>"]
 
 
-def test_a_configuration_leads_to_its_folder(filled, tmp_path):
+def test_a_configuration_selects_its_folder(filled, tmp_path):
     config = tmp_path / "test.toml"
     config.write_text(f"[storage]\nfolder = {json.dumps(str(filled.folder))}\n")
-    said = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)
-    assert (said["ok"], said["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
+    answer = json.loads(make_report(config, "--out", tmp_path / "a.html", "--json").stdout)
+    assert (answer["ok"], answer["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (("--from-h", 5, "--to-h", 5), "let it end later"),
         (("--from-h", 1e6), "let it end later"),
     ],
 )
-def test_what_cannot_be_reported_is_told_and_nothing_is_written(words, said, filled, tmp_path):
+def test_an_impossible_report_is_rejected_and_nothing_is_written(arguments, message, filled, tmp_path):
     target = tmp_path / "a.html"
-    with pytest.raises(UsageError, match=said):
-        made(filled.folder, *words, "--out", target)
+    with pytest.raises(UsageError, match=message):
+        make_report(filled.folder, *arguments, "--out", target)
     assert not target.exists()
     target.write_text("older")
     with pytest.raises(UsageError, match="--overwrite"):
-        made(filled.folder, "--out", target)
+        make_report(filled.folder, "--out", target)
     assert target.read_text() == "older"
 
 
@@ -305,9 +305,9 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
             answer = api.get("/api/v1/report?from_h=5&to_h=10")
             assert answer.headers["content-type"].startswith("text/html")
             assert "attachment" in answer.headers["content-disposition"]
-            told = Page(answer.content)
-            assert "Position B" in told.tables
-            assert "audit" not in told.ids
+            report = Page(answer.content)
+            assert "Position B" in report.tables
+            assert "audit" not in report.ids
             # The next ones without a process of their own, whose start is most of what they take.
             monkeypatch.setattr(route, "one_worker", lambda: nullcontext(AtOnce()))
             refused = api.get("/api/v1/report?from_h=5&to_h=5")
@@ -320,12 +320,14 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
 
 
 def test_annotations_are_drawn_where_they_begin_and_end(filled):
-    told = read_contents(filled.folder)
-    drawn = {place.name: figure_of(told, place).count(GREEN.lower()) for place in told.places}
+    report_contents = read_contents(filled.folder)
+    drawn = {
+        place.name: figure_of(report_contents, place).count(GREEN.lower()) for place in report_contents.places
+    }
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
     assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
 
 
 def test_text_of_a_figure_is_text(filled):
-    told = read_contents(filled.folder)
-    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(told, told.places[1]))
+    report_contents = read_contents(filled.folder)
+    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(report_contents, report_contents.places[1]))

@@ -1,4 +1,4 @@
-"""Every reading route of the service against a folder filled through the real catalogue and archive."""
+"""Every read route of the service on a folder filled through the real catalogue and archive."""
 
 import json
 import math
@@ -91,7 +91,7 @@ def get(api, path):
         ("/api/v1/waveforms/A/0/0?points=200", models.WaveformAnswer),
     ],
 )
-def test_answer_holds_to_its_documented_shape(api, path, model):
+def test_a_response_has_its_documented_shape(api, path, model):
     answer = api.get(path)
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "application/json"
@@ -148,8 +148,8 @@ def test_ages_are_on_the_tests_own_time_when_the_computers_clock_was_set(tmp_pat
     assert age.total_seconds() == pytest.approx(by_h * 3600, abs=300.0)
     assert 0.0 <= info["as_of"]["wall_age_s"] < 300.0
     run_status(config=None, data_dir=tmp_path, as_json=False, watch=False)
-    told = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
-    assert re.search(told, capsys.readouterr().out, re.MULTILINE)
+    pattern = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
+    assert re.search(pattern, capsys.readouterr().out, re.MULTILINE)
 
 
 def test_a_number_that_is_not_available_is_null(api):
@@ -205,7 +205,7 @@ def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     assert latest["supply_now"] is None
 
 
-def test_the_supply_is_told_as_its_process_keeps_it_with_its_age(api, filled):
+def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
     write_kept(
         filled.folder, kept_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0)
     )
@@ -236,23 +236,23 @@ def test_without_supply_and_probe_the_environment_is_empty(tmp_path):
     filled.close()
 
 
-def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
+def test_info_shows_a_pause_and_a_dry_run(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     with served(filled.settings, tmp_path) as service, service.client() as api:
 
-        def told():
+        def pause_and_dry_run():
             info = get(api, "/api/v1/info")
             return info["held"], info["dry_run"]
 
-        assert told() == (None, None), "a recorder of an older version does not say"
+        assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
         filled.say("hold", held="held by ann: door open", author="ann")
-        assert told() == ("held by ann: door open", True)
+        assert pause_and_dry_run() == ("held by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
-        assert told() == ("held by ann: door open", False), "a restart ends no hold"
+        assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
         filled.say("release", held="", author="ann")
-        assert told() == (None, False)
+        assert pause_and_dry_run() == (None, False)
     filled.close()
 
 
@@ -270,7 +270,7 @@ def test_trend_columns_are_the_catalogues_rows(api, filled):
     assert trend["units"]["amplitude_ratio"] == "1"
 
 
-def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
+def test_a_trend_with_more_sets_than_points_has_bins(api):
     whole, trend = (get(api, f"/api/v1/trends/B{asked}") for asked in ("", "?points=8"))
     models.Trend.model_validate(trend, strict=True)
     assert (whole["bin_sets"], whole["bins"]) == (1, None)
@@ -288,16 +288,18 @@ def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
             # A sum in another order.
             assert columns[name][number] == (pytest.approx(np.mean(values), rel=1e-14) if values else None)
     outliers = [index for index, beyond in enumerate(whole["columns"]["outlier"]) if beyond]
-    told = {index for index in bins["first_outlier_set_index"] if index is not None}
+    first_outliers = {index for index in bins["first_outlier_set_index"] if index is not None}
     assert sum(bins["n_outliers"]) == len(outliers)
-    assert told == {min(i for i in outliers if i // width == of) for of in {i // width for i in outliers}}
+    assert first_outliers == {
+        min(i for i in outliers if i // width == of) for of in {i // width for i in outliers}
+    }
     assert {i for i in bins["first_alarm_set_index"] if i is not None} == {55}
     narrow = get(api, f"/api/v1/trends/B?points=8&from_h={whole['columns']['due_h'][50]}&to_h=29")
     assert (narrow["bin_sets"], narrow["columns"]["set_index"][0]) == (1, 50)
 
 
 @pytest.mark.parametrize("query", ["", "?fields=tof_pp_s,outlier", "?points=30", "?fields=reason"])
-def test_no_trend_is_beyond_its_bytes(api, monkeypatch, query):
+def test_no_trend_exceeds_its_size_limit(api, monkeypatch, query):
     monkeypatch.setattr(trends, "MOST_BYTES", 6000)
     trend = get(api, f"/api/v1/trends/B{query}")
     length = len(json.dumps([trend["columns"], trend["bins"]], separators=(",", ":")))
@@ -325,13 +327,13 @@ def test_fit_is_the_least_squares_parabola(api, filled):
     assert (fit["n"], fit["from_h"], fit["to_h"]) == (N_SETS, 0.5, 30.0)
 
 
-def test_fit_of_too_few_sets_says_why(api):
+def test_a_fit_of_too_few_sets_has_a_reason(api):
     fit = get(api, "/api/v1/fits/B?field=tof_pp_s&to_h=1.6")
     assert fit["coefficients"] is None
     assert "3 points" in fit["reason"]
 
 
-def test_transducers_tell_their_state(api):
+def test_transducers_have_their_state(api):
     states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
     assert {name: row["state"] for name, row in states.items()} == {
         "A": "normal",
@@ -346,7 +348,7 @@ def test_transducers_tell_their_state(api):
     assert states["B"]["last_set"]["set_index"] == N_SETS - 1
 
 
-def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
+def test_data_of_a_missing_recorder_are_stale(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     filled.recorder_ends()
@@ -358,7 +360,7 @@ def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
     filled.close()
 
 
-def test_a_proof_names_its_baseline_wherever_it_is_told(tmp_path):
+def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     for name in ("B", "C"):
@@ -375,7 +377,7 @@ def test_a_proof_names_its_baseline_wherever_it_is_told(tmp_path):
     filled.close()
 
 
-def test_data_of_a_retired_transducer_age_on(tmp_path):
+def test_data_of_a_disabled_transducer_continue_to_age(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     for index in range(2):
         filled.add_set(index, stored=False)
@@ -429,7 +431,7 @@ def test_alarm_filter_by_activity(api):
         "/static/nothing.js",
     ],
 )
-def test_what_is_not_there_is_404(api, path):
+def test_an_unknown_item_is_404(api, path):
     # A raw request target: httpx would tidy the dots away.
     answer = api.send(httpx.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
     assert answer.status_code == 404, answer.text
@@ -463,7 +465,7 @@ def test_times_of_a_column_are_those_of_each_of_its_hours(epoch_utc_ns):
     assert rfc3339_of_hours(epoch_utc_ns, []) == []
 
 
-def test_hours_get_their_time_beside_them():
+def test_rows_with_hours_also_have_utc_times():
     row = with_utc({"due_h": 1.5, "raised_h": None, "wall_utc_ns": 0}, 0)
     assert row == {
         "due_h": 1.5,
@@ -484,32 +486,32 @@ ASKED = {
 }  # fmt: skip
 
 
-def test_info_tells_what_a_person_shall_do_now_and_how_long_that_is_waited_for(tmp_path):
+def test_info_shows_the_requested_action_and_its_remaining_time(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
     at_ns = filled.due[0].due_utc_ns
     with served(filled.settings, tmp_path) as service, service.client() as api:
 
-        def told():
+        def requested_action():
             return get(api, "/api/v1/info")["asked"]
 
-        assert told() is None
+        assert requested_action() is None
         filled.say("asked", at_ns, **ASKED)
-        assert told() == {**ASKED, "left_s": 60.0}
+        assert requested_action() == {**ASKED, "left_s": 60.0}
         filled.say("orders", at_ns + 45 * 10**9)
-        assert told()["left_s"] == 15.0
+        assert requested_action()["left_s"] == 15.0
         filled.say("orders", at_ns + 60 * 10**9)
-        assert told() is None, "too late"
+        assert requested_action() is None, "too late"
         filled.say("asked", at_ns + 61 * 10**9, **ASKED)
         filled.say("asked_over", at_ns + 62 * 10**9)
-        assert told() is None, "done"
+        assert requested_action() is None, "done"
         filled.say("asked", at_ns + 63 * 10**9, **ASKED)
         filled.recorder_ends()
-        assert told() is None, "nobody waits"
+        assert requested_action() is None, "nobody waits"
     filled.close()
 
 
-def test_info_names_the_instruments_of_a_mixed_rig_and_who_they_are(tmp_path):
+def test_info_names_the_instruments_of_a_mixed_rig(tmp_path):
     rig = {
         "kind": "mixed",
         "instruments": {"scope": {"kind": "lab-scope", "range_v": 5.0}, "hammer": {"kind": "lab-hammer"}},

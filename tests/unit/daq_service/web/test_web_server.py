@@ -1,4 +1,4 @@
-"""The server itself: its port, its end, and how light it is to import."""
+"""The server: its port, its end, and its import time."""
 
 import asyncio
 import queue
@@ -46,7 +46,7 @@ def test_port_in_use_is_a_clear_error(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
-def test_other_addresses_are_not_listened_at_without_locks(host):
+def test_other_addresses_need_authentication(host):
     with pytest.raises(UsageError, match="without tokens and encryption"):
         bind(host, 0)
 
@@ -56,7 +56,7 @@ def test_localhost_is_this_machine():
         assert listener.getsockname()[0] == "127.0.0.1"
 
 
-def test_stop_ends_all_streams_whatever_they_wait_for(filled):
+def test_stop_ends_all_waiting_streams(filled):
     read_to_end = queue.Queue()
 
     def read(url):
@@ -73,7 +73,7 @@ def test_stop_ends_all_streams_whatever_they_wait_for(filled):
             assert connected.acquire(timeout=DEADLINE_S)
         with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B") as socket_:
             assert socket_.recv(timeout=DEADLINE_S)
-            # Uvicorn alone would wait for its clients for ever.
+            # Uvicorn alone would wait for its clients forever.
             service.stop.set()
             service.thread.join(DEADLINE_S)
             assert not service.thread.is_alive()
@@ -93,7 +93,7 @@ def test_stop_does_not_wait_for_a_client_that_does_not_read(filled):
             assert not service.thread.is_alive()
 
 
-# What nobody may keep open, fill or hold back
+# Limits of connections, requests and responses
 
 
 @contextmanager
@@ -104,15 +104,17 @@ def connection_to(service):
 
 
 def everything_from(client):
-    """Read until the service closes."""
+    """Read until the service closes the connection."""
     return b"".join(iter(lambda: client.recv(65536), b""))
 
 
-@pytest.mark.parametrize("begun", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"])
-def test_headers_that_do_not_come_end_the_connection(filled, monkeypatch, begun):
+@pytest.mark.parametrize(
+    "request_start", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"]
+)
+def test_missing_headers_end_the_connection(filled, monkeypatch, request_start):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
-        client.sendall(begun)
+        client.sendall(request_start)
         assert everything_from(client).startswith(b"HTTP/1.1 408 ")
 
 
@@ -125,17 +127,17 @@ def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, mon
     assert b"HTTP/1.1 408 " in answers
 
 
-def test_what_is_being_answered_is_not_broken_off_by_a_slow_next_request(filled, monkeypatch):
+def test_a_response_is_not_interrupted_by_a_slow_next_request(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
-    waited, looks = BoundedHttp._waited, []
-    monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (looks.append(self), waited(self)))
+    waited, polls = BoundedHttp._waited, []
+    monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (polls.append(self), waited(self)))
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
-        until(lambda: len(looks) > 3, "the next request's headers being waited for")
+        until(lambda: len(polls) > 3, "the next request's headers being waited for")
         service.stop.set()
-        told = everything_from(client)
-    assert b"event: bye" in told
-    assert b" 408 " not in told
+        response = everything_from(client)
+    assert b"event: bye" in response
+    assert b" 408 " not in response
 
 
 @pytest.mark.parametrize("ended", [False, True])
@@ -148,7 +150,7 @@ def test_headers_without_end_are_refused(filled, ended):
     assert b"%d" % LARGEST_HEADERS_BYTES in answer
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(filled, monkeypatch):
+def test_a_missing_body_is_not_waited_for(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.guards.BODY_WITHIN_S", 0.05)
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{")
@@ -161,15 +163,15 @@ def test_more_connections_than_are_served_get_a_503(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.server.MOST_CONNECTIONS", 3)
     with served(filled.settings, filled.folder) as service, connection_to(service) as stream:
         with service.client() as first, connection_to(service) as other:
-            for one in (stream, other):
-                one.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-                assert one.recv(4096).startswith(b"HTTP/1.1 200 ")
+            for item in (stream, other):
+                item.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+                assert item.recv(4096).startswith(b"HTTP/1.1 200 ")
             assert first.get("healthz").status_code == 503
         with service.client() as later:
             until(lambda: later.get("healthz").status_code == 200, "a place")
 
 
-def test_small_answers_are_not_held_back():
+def test_small_responses_are_sent_without_delay():
     """Nagle's algorithm is off on each connection that asyncio accepts here."""
 
     async def accepted_with(listener):

@@ -1,4 +1,4 @@
-"""Requests of strangers: malformed, repeated, of foreign pages, under no name, or never complete."""
+"""Invalid requests: malformed, repeated, cross-site, anonymous, or incomplete."""
 
 import select
 import socket
@@ -75,7 +75,7 @@ def test_a_malformed_origin_is_foreign(api, origin):
         ("Sec-Fetch-Site", ("same-origin", "cross-site")),
     ],
 )
-def test_a_header_that_must_be_one_is_refused_twice(service, name, values):
+def test_a_duplicate_single_header_is_rejected(service, name, values):
     lines = [f"{name}: {value}" for value in values] + ([] if name == "Host" else ["Host: 127.0.0.1"])
     with connection_to(service) as client:
         client.sendall(
@@ -98,7 +98,7 @@ def test_a_header_that_must_be_one_is_refused_twice(service, name, values):
         ("files/set_1_a.h5", {"Range": "bytes=\xb2-"}),
     ],
 )
-def test_a_malformed_header_is_no_fault_of_the_service(api, path, headers):
+def test_a_malformed_header_is_a_client_error(api, path, headers):
     encoded = {name: value.encode("latin-1") for name, value in headers.items()}
     with api.stream("GET", f"/api/v1/{path}", headers=encoded) as answer:
         assert answer.status_code < 500
@@ -115,7 +115,7 @@ BODIES = [
 
 
 @pytest.mark.parametrize("body", BODIES, ids=lambda body: repr(body[:20]))
-def test_a_malformed_body_is_no_fault_of_the_service(api, body):
+def test_a_malformed_body_is_a_client_error(api, body):
     answer = api.post("/api/v1/commands", content=body, headers={"Content-Type": "application/json"})
     assert 400 <= answer.status_code < 500
 
@@ -143,8 +143,8 @@ def far(tmp_path):
         ("/api/v1/info", {"Sec-Fetch-Site": "none"}, 401),
     ],
 )
-def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, headers, status):
-    """401: let in as far as the question for a token."""
+def test_a_cross_site_page_reaches_only_the_token_check(far, path, headers, status):
+    """The response is 401: the request reaches the token check only."""
     with served(FAR, far) as service, service.client() as api:
         sent = {"Host": "lab.example.org", "X-Forwarded-Proto": "https", "Sec-Fetch-Site": "cross-site"}
         assert api.get(path, headers=sent | headers).status_code == status
@@ -154,7 +154,7 @@ def test_a_page_of_another_site_asks_for_nothing_below_the_api(far, path, header
 
 
 @pytest.mark.parametrize("blank", BLANKS, ids=ascii)
-def test_nobody_commands_under_a_blank_name_or_for_a_blank_reason(filled, api, blank):
+def test_a_blank_author_or_reason_is_rejected(filled, api, blank):
     before = len(filled.catalogue.open_commands())
     assert api.post("/api/v1/alarms/1/acknowledge", json={"author": blank}).status_code == 422
     for kind, author, arguments in (
@@ -179,7 +179,7 @@ def test_every_command_needs_a_name():
 # Tokens
 
 
-def test_lost_tokens_open_nothing_after_a_restart(tmp_path, caplog):
+def test_a_lost_token_file_rejects_all_after_a_restart(tmp_path, caplog):
     path = tmp_path / "tokens.json"
     create_token(path, "ann", "admin")
     path.unlink()
@@ -189,7 +189,7 @@ def test_lost_tokens_open_nothing_after_a_restart(tmp_path, caplog):
     assert KnownTokens(path).still_opens("bob", "admin")
 
 
-def test_revoking_where_no_token_was_made_asks_for_none(tmp_path):
+def test_revoking_without_tokens_does_not_require_tokens(tmp_path):
     path = tmp_path / "tokens.json"
     with pytest.raises(server.UsageError, match="no token 'ann'"):
         revoke_token(path, "ann")
@@ -200,10 +200,10 @@ def test_revoking_where_no_token_was_made_asks_for_none(tmp_path):
 
 
 @contextmanager
-def connection_to(service, begun=b""):
+def connection_to(service, request_start=b""):
     host, _, port = service.netloc.partition(":")
     with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
-        client.sendall(begun)
+        client.sendall(request_start)
         yield client
 
 
@@ -212,7 +212,7 @@ def _closed(clients):
 
 
 def _ended(client):
-    """Read what is there; whether that was all for good."""
+    """Read the available bytes; return whether the connection is closed."""
     client.setblocking(False)
     with suppress(BlockingIOError):
         while client.recv(65536):
@@ -222,12 +222,12 @@ def _ended(client):
 
 
 @pytest.mark.parametrize(
-    "begun",
+    "request_start",
     [b"", b"GET / HT", b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{"],
     ids=["silent", "headers", "body"],
 )
 @pytest.mark.parametrize("limit", ["MOST_WAITING", "MOST_WAITING_OF_ADDRESS"])
-def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, limit, begun):
+def test_connections_with_an_incomplete_request_are_limited(filled, monkeypatch, limit, request_start):
     monkeypatch.setattr(bounded_http, limit, 3)
     monkeypatch.setattr(bounded_http, "LOOK_EVERY_S", 0.02)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
@@ -235,20 +235,20 @@ def test_only_so_many_connections_may_wait_with_a_request(filled, monkeypatch, l
             connection_to(service, b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         )
         assert stream.recv(4096).startswith(b"HTTP/1.1 200 ")
-        clients = [opened.enter_context(connection_to(service, begun)) for _ in range(8)]
+        clients = [opened.enter_context(connection_to(service, request_start)) for _ in range(8)]
         until(lambda: _closed(clients) == 5, "all but three to be closed")
         with service.client() as api:
             assert api.get("/healthz").status_code == 200
         assert not _ended(stream), "its request was complete"
 
 
-def test_beyond_all_connections_the_one_that_waits_longest_is_closed(filled, monkeypatch):
+def test_above_the_connection_limit_the_longest_idle_one_is_closed(filled, monkeypatch):
     monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
         clients = [opened.enter_context(connection_to(service)) for _ in range(4)]
         until(lambda: _closed(clients) == 3, "all but the newest to be closed")
         assert not _closed(clients[-1:])
-        with service.client() as api:  # it makes place, too
+        with service.client() as api:  # it frees its place, too
             until(lambda: api.get("/healthz").status_code == 200, "a place")
 
 

@@ -64,7 +64,7 @@ def test_without_a_start_only_new_events_arrive(filled, service):
     before = stored_ids(filled)
     with connected(service) as events:
         new = filled.add_set(1, stored=False)
-        # Whatever was committed while connecting may be among them, nothing older.
+        # Rows committed during the connection may be included, but no older ones.
         assert next(events).id in new
     assert max(before) < min(new)
 
@@ -97,7 +97,7 @@ def test_only_the_chosen_topics_arrive(filled, service):
     assert {event.event for event in arrived} == {"verdicts", "thickness"}
 
 
-def test_too_long_an_absence_is_a_gap(filled):
+def test_a_too_old_event_id_is_a_gap(filled):
     ids = stored_ids(filled)
     assert len(ids) > 6
     app = create_app(filled.settings, filled.folder)
@@ -129,7 +129,7 @@ def test_stream_may_be_opened_before_the_first_record(tmp_path):
 
 
 @pytest.mark.parametrize("value", ["x", "-1", "1e3", "9" * 30])
-def test_last_event_id_that_is_none_is_refused(service, value):
+def test_an_invalid_last_event_id_is_rejected(service, value):
     answer = httpx.get(f"{service.url}api/v1/stream", headers={"Last-Event-ID": value})
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
@@ -139,7 +139,7 @@ def test_last_event_id_that_is_none_is_refused(service, value):
 
 
 class InventedEvents:
-    """Events that a test adds; stands for the catalogue."""
+    """Catalogue double with events that a test adds."""
 
     def __init__(self):
         self.rows = []
@@ -202,7 +202,7 @@ def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
     run_with_hub(tmp_path, body, ring_events=8)
 
 
-def test_quiet_stream_beats(tmp_path):
+def test_a_quiet_stream_sends_heartbeats(tmp_path):
     async def body(source, context, hub):
         client = frames(context, hub, frozenset({"alarms"}), None)
         await anext(client)
@@ -215,8 +215,8 @@ def test_quiet_stream_beats(tmp_path):
     run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
 
 
-def test_a_busy_stream_beats_too(tmp_path):
-    """A page counts heartbeats, not events: it does not know every topic."""
+def test_a_busy_stream_sends_heartbeats(tmp_path):
+    """A page counts heartbeats, not events, as it does not know every topic."""
 
     async def body(source, context, hub):
         client, chunks = frames(context, hub, None, 1), []
@@ -230,7 +230,7 @@ def test_a_busy_stream_beats_too(tmp_path):
     run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
 
 
-def test_a_stream_beats_before_the_catalogue_can_be_read(tmp_path):
+def test_a_stream_sends_heartbeats_before_the_catalogue_is_readable(tmp_path):
     class Unreadable(InventedEvents):
         def last_id(self):
             raise StorageError("locked")
@@ -268,8 +268,8 @@ def test_no_error_of_the_source_ends_the_tail(tmp_path, caplog, monkeypatch):
     assert caplog.text.count("cannot read events") == 3
 
 
-def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
-    """REST reads the catalogue itself and may be ahead of the tail by one poll."""
+def test_an_id_ahead_of_the_stream_is_no_gap(tmp_path):
+    """REST reads the catalogue itself and may be one poll ahead of the stream."""
 
     async def body(source, context, hub):
         while hub.complete_after is None:
@@ -284,7 +284,7 @@ def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
     run_with_hub(tmp_path, body, poll_interval_s=60.0, heartbeat_interval_s=0.02)
 
 
-def test_end_of_the_service_says_bye(tmp_path):
+def test_the_end_of_the_service_sends_bye(tmp_path):
     async def body(source, context, hub):
         client = frames(context, hub, None, None)
         await anext(client)
@@ -313,7 +313,7 @@ def test_each_event_is_encoded_once_for_all_clients(tmp_path):
     run_with_hub(tmp_path, body)
 
 
-def test_many_who_come_back_together_read_the_catalogue_once(tmp_path):
+def test_simultaneous_reconnections_read_the_catalogue_once(tmp_path):
     async def body(source, context, hub):
         while hub.complete_after is None:
             await hub.changed()
@@ -335,7 +335,7 @@ def test_many_who_come_back_together_read_the_catalogue_once(tmp_path):
     run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
 
 
-def test_a_client_far_behind_lets_others_go_first(tmp_path):
+def test_a_client_far_behind_does_not_delay_others(tmp_path):
     async def body(source, context, hub):
         behind, other = frames(context, hub, None, 0), []
 
@@ -355,7 +355,7 @@ def test_a_client_far_behind_lets_others_go_first(tmp_path):
     run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
 
 
-def test_more_streams_than_are_served_are_told_so(filled, service, monkeypatch):
+def test_too_many_streams_are_rejected_with_503(filled, service, monkeypatch):
     monkeypatch.setattr("daq_service.web.routes.stream.MOST_CLIENTS", 1)
     with connected(service, "?after=0") as events:
         take(events, 1)
@@ -365,11 +365,11 @@ def test_more_streams_than_are_served_are_told_so(filled, service, monkeypatch):
         assert answer.headers["retry-after"] == "1"
 
 
-def test_streams_that_begin_together_let_another_answer_go_first():
-    begun = []
+def test_streams_that_start_together_do_not_delay_another_response():
+    started = []
 
     async def app(scope, receive, send):
-        begun.append(scope["path"])
+        started.append(scope["path"])
 
     async def body():
         guard = RequestGuard(app)
@@ -378,5 +378,5 @@ def test_streams_that_begin_together_let_another_answer_go_first():
         await asyncio.gather(*(guard({**scope, "path": path}, None, None) for path in paths))
 
     asyncio.run(body())
-    assert len(begun) == 101
-    assert begun.index("/healthz") == 0
+    assert len(started) == 101
+    assert started.index("/healthz") == 0

@@ -29,7 +29,7 @@ from daq_service.web.tables.choice import TABLES
 from daq_service.web.tables.formats import FORMATS, MATLAB_NAME
 
 N_SETS = 60
-CAUSE_TOLD = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
+DIAGNOSIS = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
 READINESS = {"n_eff": 34.0, "phi_pooled": 0.17, "tail": 1.5, "why_not_guaranteed": "48 sets are few"}
 LISTED = {"shot_features": ("features", {"scope": "shot"})}
 
@@ -37,11 +37,11 @@ LISTED = {"shot_features": ("features", {"scope": "shot"})}
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    judged = folder.assessment
+    assessment_of = folder.assessment
 
     def with_a_cause(position, index, hour):
-        row = judged(position, index, hour)
-        return replace(row, cause_told=CAUSE_TOLD) if (position, index) == ("B", 55) else row
+        row = assessment_of(position, index, hour)
+        return replace(row, cause_told=DIAGNOSIS) if (position, index) == ("B", 55) else row
 
     folder.assessment = with_a_cause
     for index in range(N_SETS):
@@ -67,15 +67,15 @@ def api(filled):
 
 @pytest.fixture
 def small_pages(monkeypatch):
-    """Pages end and begin within the tables of this test."""
+    """Shorten the pages so that they end within the tables of this test."""
     monkeypatch.setattr(choice, "PAGE_ROWS", 50)
 
 
-def listed(api, table, **asked):
-    """Rows as the page gets them, without their age, what is nested as JSON text."""
+def listed(api, table, **query):
+    """Return the rows as the page gets them, without their age, nested values as JSON text."""
     resource, fixed = LISTED.get(table, (table, {}))
     most = {} if table == "baselines" else {"limit": 1000}  # there are few: they come without pages
-    rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **asked}).raise_for_status().json()
+    rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **query}).raise_for_status().json()
     nested = (dict, list)
     return [
         {
@@ -87,15 +87,15 @@ def listed(api, table, **asked):
     ]
 
 
-def exported(api, table, form, **asked):
-    answer = api.get(f"/api/v1/tables/{table}", params={"format": form, **asked})
+def exported(api, table, form, **query):
+    answer = api.get(f"/api/v1/tables/{table}", params={"format": form, **query})
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"].partition(";")[0] == FORMATS[form].media_type
     return answer.content
 
 
 def as_stored(value, column):
-    """A value in the formats that have no word for "not available"."""
+    """Return a value as stored in formats without "not available"."""
     if value is None:
         return {"number": math.nan, "integer": -1, "truth": -1}.get(column.form, "")
     return value
@@ -138,11 +138,13 @@ def test_every_table_is_the_listing_in_every_format(api, table):
             unit = (read.schema.field(column.name).metadata or {}).get(b"unit", b"").decode()
             assert unit == column.unit
             for value, row in zip(values, rows, strict=True):
-                told = row[column.name]
-                if told is None:
+                expected = row[column.name]
+                if expected is None:
                     assert pd.isna(value)
                 else:
-                    assert value == (pd.Timestamp(told) if column.form == "time" else told), column.name
+                    assert value == (pd.Timestamp(expected) if column.form == "time" else expected), (
+                        column.name
+                    )
         assert json.loads(read.schema.metadata[b"solimon"])["table"] == table
 
     with np.load(io.BytesIO(exported(api, table, "npz"))) as arrays:
@@ -173,11 +175,11 @@ def test_every_table_is_the_listing_in_every_format(api, table):
             assert group[column.name].attrs.get("units", "") == column.unit
 
 
-def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
-    asked = {"position": "B", "from_h": 5.0, "to_h": 10.0}
-    rows = listed(api, "features", **asked)
+def test_a_selection_has_its_columns_and_their_keys(api):
+    query = {"position": "B", "from_h": 5.0, "to_h": 10.0}
+    rows = listed(api, "features", **query)
     assert len(rows) == 10
-    csv = pd.read_csv(io.BytesIO(exported(api, "features", "csv", fields="tof_pp_s,noise_rms_v", **asked)))
+    csv = pd.read_csv(io.BytesIO(exported(api, "features", "csv", fields="tof_pp_s,noise_rms_v", **query)))
     assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
     assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
     assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
@@ -193,7 +195,7 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
     assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
 
 
-def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
+def test_nested_values_have_their_own_columns(api):
     assessments = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
     assert assessments["limit_chart"].tolist() == [LIMIT_CHART] * len(assessments)
     assert assessments["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
@@ -214,7 +216,7 @@ def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
     assert len(later) == 0
 
 
-def test_a_shelf_that_has_expired_is_none_in_a_file(filled, api):
+def test_an_expired_shelf_is_absent_in_a_file(filled, api):
     stored = {row.suppressed for row in filled.catalogue.rows(AlarmRow)}
     assert stored == {"shelved"}, "nobody has noted yet that one is over"
     alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv")), keep_default_na=False)
@@ -248,7 +250,7 @@ def test_the_header_accept_chooses_the_format(api):
 
 
 @pytest.mark.parametrize(
-    ("asked", "status", "said"),
+    ("query", "status", "message"),
     [
         ("nothing", 404, "The tables are sets, features"),
         ("features?position=X", 404, "The positions are"),
@@ -260,13 +262,13 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?format=xlsx", 422, "csv"),
     ],
 )
-def test_what_cannot_be_exported_is_told(api, asked, status, said):
-    answer = api.get(f"/api/v1/tables/{asked}")
+def test_an_impossible_export_is_rejected_with_its_reason(api, query, status, message):
+    answer = api.get(f"/api/v1/tables/{query}")
     assert answer.status_code == status
-    assert said in answer.text
+    assert message in answer.text
 
 
-def test_no_answer_is_without_a_bound(api, monkeypatch):
+def test_every_response_is_bounded(api, monkeypatch):
     monkeypatch.setattr(tables, "MOST_ROWS", 100)
     answer = api.get("/api/v1/tables/features?format=npz")
     assert answer.status_code == 422
@@ -282,15 +284,15 @@ def test_no_answer_is_without_a_bound(api, monkeypatch):
     assert exported(api, "features", "npz", position="B")
 
 
-def test_without_pyarrow_the_others_are_offered(api, monkeypatch):
+def test_without_pyarrow_the_other_formats_are_offered(api, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     answer = api.get("/api/v1/tables/features?format=parquet")
     assert answer.status_code == 422
     assert "pip install 'solimon[parquet]'" in answer.json()["detail"]
 
 
-def test_the_list_tells_columns_units_and_formats(api):
-    told = api.get("/api/v1/tables").json()
-    assert told["formats"] == list(FORMATS)
-    (features,) = [item for item in told["items"] if item["table"] == "features"]
+def test_the_list_of_tables_has_columns_units_and_formats(api):
+    listing = api.get("/api/v1/tables").json()
+    assert listing["formats"] == list(FORMATS)
+    (features,) = [item for item in listing["items"] if item["table"] == "features"]
     assert {"name": "tof_pp_s", "form": "number", "unit": "s"} in features["columns"]

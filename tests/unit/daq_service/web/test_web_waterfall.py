@@ -1,4 +1,4 @@
-"""The waterfall as the service gives it: what the archive holds, bounded, from tiles or without."""
+"""The waterfall of the service equals the archive, is bounded, with and without tiles."""
 
 import json
 import shutil
@@ -47,7 +47,7 @@ def api(service):
 
 
 def read(answer):
-    """Header and planes, shape (2, rows, columns)."""
+    """Return header and planes, shape (2, rows, columns)."""
     assert answer.status_code == 200, answer.text
     (length,) = struct.unpack_from("<I", answer.content)
     header = json.loads(answer.content[4 : 4 + length])
@@ -56,8 +56,8 @@ def read(answer):
     return header, planes.reshape(2, header["rows"], header["columns"])
 
 
-def by_hand(filled, position, header, index):
-    """Extremes of a set's samples in the columns of a picture, from its file."""
+def expected_extremes(filled, position, header, index):
+    """Return the extremes of a set's samples in the columns of a figure, computed from its file."""
     record = read_set(set_files(filled.folder)[index])
     anchors = anchors_of(results_in(filled.catalogue, index))
     rate = header["sample_rate_hz"]
@@ -89,13 +89,13 @@ def by_hand(filled, position, header, index):
         ("A", "&from_s=0&to_s=4e-6"),
     ],
 )
-def test_a_picture_holds_the_extremes_of_the_records(api, filled, position, query):
+def test_a_waterfall_has_the_extremes_of_the_records(api, filled, position, query):
     header, planes = read(api.get(f"/api/v1/waterfall/{position}?rows=50{query}"))
     stored = [index for index in range(N_SETS) if index not in MISSED]
     assert header["first_set"] == header["last_set"] == stored
     assert header["first_h"] == [filled.due[index].due_h for index in stored]
     for row, index in enumerate(stored):
-        np.testing.assert_array_equal(planes[:, row], by_hand(filled, position, header, index))
+        np.testing.assert_array_equal(planes[:, row], expected_extremes(filled, position, header, index))
     # A row ends where the next set is due, whether that was taken or not.
     assert header["until_h"] == pytest.approx([filled.due[index + 1].due_h for index in stored])
 
@@ -106,9 +106,9 @@ def test_few_rows_hold_several_sets_and_lose_no_extreme(api, filled):
     assert (header["row_sets"], header["first_set"], header["last_set"]) == (4, [0, 6, 8], [3, 7, 8])
     assert header["n_sets"] == [4, 2, 1]
     for row, sets in enumerate([range(4), (6, 7), (8,)]):
-        its = [fine["first_set"].index(index) for index in sets]
-        np.testing.assert_array_equal(planes[0, row], fine_planes[0, its].min(axis=0))
-        np.testing.assert_array_equal(planes[1, row], fine_planes[1, its].max(axis=0))
+        fine_rows = [fine["first_set"].index(index) for index in sets]
+        np.testing.assert_array_equal(planes[0, row], fine_planes[0, fine_rows].min(axis=0))
+        np.testing.assert_array_equal(planes[1, row], fine_planes[1, fine_rows].max(axis=0))
 
 
 def test_a_range_of_hours_is_half_open(api, filled):
@@ -134,7 +134,7 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
     header, difference = read(api.get("/api/v1/waterfall/B?as=difference&columns=1024"))
     assert header["baseline_sets"] == N_SETS - len(MISSED)
     rows = [index for index in range(N_SETS) if index not in MISSED]
-    volts = np.stack([by_hand(filled, "B", header, index) for index in rows], axis=1)
+    volts = np.stack([expected_extremes(filled, "B", header, index) for index in rows], axis=1)
     mean = volts.astype(np.float64).mean(axis=1, keepdims=True).astype(np.float32)
     np.testing.assert_array_equal(difference, volts - mean)
     echo, planes = read(api.get("/api/v1/waterfall/A?as=difference&rows=50"))
@@ -146,21 +146,21 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
 
 
 def renewed_at(filled, position, first_set):
-    """Row of a successor that begins to collect."""
+    """Return the row of a new baseline that is collecting."""
     asked = {"first_set": first_set, "author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
     return renewed(position, filled.settings, None, **asked)[1]
 
 
-def test_json_says_the_same(api):
+def test_the_json_format_has_the_same_values(api):
     header, planes = read(api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo"))
-    told = api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo&format=json").json()
-    assert {name: told[name] for name in header} == header
+    answer = api.get("/api/v1/waterfall/A?rows=4&columns=16&align=first_echo&format=json").json()
+    assert {name: answer[name] for name in header} == header
     assert header["velocity_m_per_s"] == 5900.0
-    np.testing.assert_array_equal(np.array(told["minimum"], dtype=np.float32), planes[0])
-    np.testing.assert_array_equal(np.array(told["maximum"], dtype=np.float32), planes[1])
+    np.testing.assert_array_equal(np.array(answer["minimum"], dtype=np.float32), planes[0])
+    np.testing.assert_array_equal(np.array(answer["maximum"], dtype=np.float32), planes[1])
 
 
-def test_what_a_client_has_is_not_sent_again(api):
+def test_an_unchanged_response_is_not_sent_again(api):
     first = api.get("/api/v1/waterfall/B?rows=7")
     again = api.get("/api/v1/waterfall/B?rows=7", headers={"If-None-Match": first.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
@@ -169,7 +169,7 @@ def test_what_a_client_has_is_not_sent_again(api):
 
 
 @pytest.mark.parametrize(
-    ("path", "status", "word"),
+    ("path", "status", "message"),
     [
         ("X", 404, "positions are"),
         ("B?align=first_echo", 422, "Choose trigger or isw"),
@@ -185,10 +185,10 @@ def test_what_a_client_has_is_not_sent_again(api):
         ("B?zoom=3", 422, "zoom"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_with_the_way_out(api, path, status, word):
+def test_an_impossible_waterfall_is_rejected_with_a_remedy(api, path, status, message):
     answer = api.get(f"/api/v1/waterfall/{path}")
     assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
-    assert word in answer.text
+    assert message in answer.text
 
 
 def test_a_service_that_closes_reads_no_more_records(filled):
@@ -198,7 +198,7 @@ def test_a_service_that_closes_reads_no_more_records(filled):
     assert (header["rows"], header["pending_sets"]) == (0, N_SETS - len(MISSED))
 
 
-def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
+def test_without_records_there_is_no_waterfall(tmp_path):
     folder = FilledFolder(tmp_path, Settings())
     folder.add_set(0, stored=False)
     with served(folder.settings, folder.folder) as service, service.client() as client:
@@ -207,27 +207,27 @@ def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
     assert (answer.status_code, answer.content) == (204, b"")
 
 
-def test_tiles_draw_the_same_and_the_service_writes_none(api, filled):
+def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     queries = ["B?rows=50", "B?rows=3&align=isw", "A?columns=9&align=first_echo", "D?as=difference"]
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
     assert not (filled.folder / TILES_FOLDER).exists()
     files = {index: f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
-    told = tiles_again(
+    corruption = tiles_again(
         filled.folder, name, files, lambda index: results_in(filled.catalogue, index), lambda done, of: None
     )
-    assert told == []
+    assert corruption == []
     # Another service, which has nothing in its memory and no records.
     sets = filled.folder / "sets"
     sets_aside = filled.folder.with_name("aside")
     shutil.move(sets, sets_aside)
     sets.mkdir()
-    shutil.copy(min(sets_aside.iterdir()), sets)  # the first one tells how records are sampled
+    shutil.copy(min(sets_aside.iterdir()), sets)  # the first one has the sampling of the records
     try:
         with served(filled.settings, filled.folder) as other, other.client() as client:
             for query, (header, planes) in zip(queries, before, strict=True):
-                its, found = read(client.get(f"/api/v1/waterfall/{query}"))
-                assert its == header
+                actual_header, found = read(client.get(f"/api/v1/waterfall/{query}"))
+                assert actual_header == header
                 np.testing.assert_array_equal(found, planes)
     finally:
         shutil.rmtree(sets)

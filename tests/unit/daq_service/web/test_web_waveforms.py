@@ -1,4 +1,4 @@
-"""Stored records in volts, the live picture by GET and by WebSocket."""
+"""Stored records in volts, and the live figure by GET and by WebSocket."""
 
 import io
 import json
@@ -68,7 +68,7 @@ def records_of_a_set(content):
 
 
 @pytest.mark.parametrize(("position", "shots"), [("B", 2), ("A", 1)])
-def test_all_records_of_a_set_come_in_one_answer(api, filled, position, shots):
+def test_one_response_has_all_records_of_a_set(api, filled, position, shots):
     answer = api.get(f"/api/v1/sets/{position}/0/waveforms")
     found = list(records_of_a_set(answer.content))
     assert [record["shot_index"] for record, _ in found] == list(range(shots))
@@ -79,7 +79,7 @@ def test_all_records_of_a_set_come_in_one_answer(api, filled, position, shots):
         assert record["pretrigger_samples"] == waveform.pretrigger_samples
 
 
-def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
+def test_marks_are_within_their_search_windows(tmp_path):
     settings = Settings(ultrasound={"delay_s": 1e-6})
     folder = FilledFolder(tmp_path, settings)
     folder.add_set(0)
@@ -108,8 +108,8 @@ def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
 
 
 def test_a_repeated_record_is_not_among_those_of_its_set(tmp_path, monkeypatch):
-    def repeated(record, **told):
-        row = shot_row(record, **told)
+    def repeated(record, **columns):
+        row = shot_row(record, **columns)
         return replace(row, outcome="superseded") if row.shot_index == 1 else row
 
     monkeypatch.setattr("support.filled_folder.shot_row", repeated)
@@ -123,7 +123,7 @@ def test_a_repeated_record_is_not_among_those_of_its_set(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("position", "shot_index"), [("B", 0), ("D", 1), ("A", 0)])
-def test_stored_record_comes_back_in_volts(api, filled, position, shot_index):
+def test_a_stored_record_is_returned_in_volts(api, filled, position, shot_index):
     answer = api.get(f"/api/v1/waveforms/{position}/0/{shot_index}").json()
     waveform = stored(filled, position, shot_index)
     np.testing.assert_array_equal(answer["voltage_v"], waveform.volts())
@@ -156,7 +156,7 @@ def test_a_record_that_the_client_has_is_not_read_again(service, api, filled, fo
     assert known.content == b""
 
 
-def test_octets_are_the_counts_with_what_makes_them_volts(api, filled):
+def test_octets_are_counts_with_their_calibration(api, filled):
     answer = api.get("/api/v1/waveforms/B/0/0?format=octets")
     waveform = stored(filled, "B", 0)
     counts = np.frombuffer(answer.content, dtype=answer.headers["x-dtype"])
@@ -191,7 +191,7 @@ def test_extremes_of_each_bin_survive(values, points):
 # Live
 
 
-def test_live_picture_is_the_recorders_file(api, filled):
+def test_the_live_figure_is_the_file_of_the_recorder(api, filled):
     answer = api.get("/api/v1/waveforms/live/B")
     assert answer.content == (filled.folder / "live" / "B.bin").read_bytes()
     header, counts = live_record(answer.content)
@@ -200,7 +200,7 @@ def test_live_picture_is_the_recorders_file(api, filled):
     assert answer.headers["x-sequence"] == str(header["sequence"])
 
 
-def test_position_without_picture_is_404(tmp_path):
+def test_a_position_without_a_live_figure_is_404(tmp_path):
     with served(Settings(), tmp_path) as service, service.client() as api:
         assert api.get("/api/v1/waveforms/live/B").status_code == 404
 
@@ -208,13 +208,13 @@ def test_position_without_picture_is_404(tmp_path):
 @pytest.mark.parametrize(
     "content", [b"", b"\xff\xff\xff\xff{}", b"\x02\0\0\0[]", struct.pack("<I", 400) + b"{}"]
 )
-def test_damaged_picture_is_a_problem(content):
+def test_a_corrupt_live_figure_is_a_problem(content):
     with pytest.raises(Problem) as caught:
         decode_header(content)
     assert caught.value.status == 503
 
 
-def test_websocket_sends_the_newest_picture_of_each_position(filled, service):
+def test_a_websocket_sends_the_newest_figure_of_each_position(filled, service):
     with connect(f"ws://{service.netloc}/api/v1/waveforms/live") as socket:
         first = {live_record(socket.recv(timeout=DEADLINE_S))[0]["position"] for _ in range(4)}
         assert first == {"A", "B", "C", "D"}
@@ -228,7 +228,7 @@ def test_websocket_sends_the_newest_picture_of_each_position(filled, service):
         assert counts.size == 13_000
 
 
-def test_websocket_beats_as_text_where_no_picture_comes(service, monkeypatch):
+def test_a_websocket_sends_text_heartbeats_without_figures(service, monkeypatch):
     monkeypatch.setattr(service.app.state.context.hub, "heartbeat_interval_s", 0.05)
     with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=C") as socket:
         assert isinstance(socket.recv(timeout=DEADLINE_S), bytes)

@@ -1,4 +1,4 @@
-"""What the doctor says of software, machine and folder, each state of each check."""
+"""Checks of software, machine and folder by `solimon doctor`, with each state of each check."""
 
 import json
 import sys
@@ -68,11 +68,11 @@ def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> N
     assert exit_code(checks) == code
 
 
-def test_what_is_ok_keeps_no_remedy() -> None:
+def test_a_passed_check_has_no_remedy() -> None:
     assert Check(area="rig", name="coils", found="cool", remedy="let them cool").remedy == ""
 
 
-def test_what_is_not_ok_needs_a_remedy() -> None:
+def test_a_failed_check_needs_a_remedy() -> None:
     with pytest.raises(ValueError, match="needs a remedy"):
         Check(area="rig", name="it", state="warn", found="something")
 
@@ -80,14 +80,14 @@ def test_what_is_not_ok_needs_a_remedy() -> None:
 # Software -------------------------------------------------------------------------------------------
 
 
-def test_the_packages_of_this_environment_are_good() -> None:
+def test_the_packages_of_this_environment_pass() -> None:
     checks = by_name(software_checks(PACKAGES))
     assert {check.state for check in checks.values()} == {"ok"}
     assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
     assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
 
 
-def test_a_rig_without_boards_asks_for_none_of_their_packages() -> None:
+def test_a_rig_without_boards_needs_no_board_packages() -> None:
     (twin,) = instruments_of(Settings())
     assert list(twin.kind.packages(twin.parameters)) == []
     assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(())))
@@ -155,9 +155,7 @@ def answers(**by_program: str | None) -> Any:
         ("darwin", {}, "warn"),
     ],
 )
-def test_whether_the_clock_is_synchronised_and_how_that_was_found(
-    system: str, answer: dict[str, str], state: str
-) -> None:
+def test_the_clock_check_has_state_and_source(system: str, answer: dict[str, str], state: str) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))[
         "clock synchronised"
     ]
@@ -177,13 +175,13 @@ def test_whether_the_clock_is_synchronised_and_how_that_was_found(
         ("win32", {}, "warn"),
     ],
 )
-def test_whether_the_computer_would_sleep(system: str, answer: dict[str, str], state: str) -> None:
+def test_the_sleep_check_follows_the_power_settings(system: str, answer: dict[str, str], state: str) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
 
 
-def test_it_says_what_would_let_the_computer_sleep() -> None:
+def test_the_sleep_check_names_the_settings() -> None:
     ask = answers(systemctl="static", busctl='s "suspend"')
     found = by_name(machine_checks("wall", FOLDER, ask=ask, system="linux"))["sleep"]
     assert "not switched off (systemctl, IdleAction of logind is suspend)" in found.found
@@ -219,7 +217,7 @@ KEY = r"HKEY_LOCAL_MACHINE\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
         ("darwin", {}, None, None),
     ],
 )
-def test_whether_updates_restart_the_computer(
+def test_the_update_check_follows_the_restart_settings(
     system: str, answer: dict[str, str], restarts: bool | None, waits: bool | None
 ) -> None:
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
@@ -233,7 +231,7 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
 
 
 @pytest.mark.parametrize(
-    ("system", "answer", "left_alone", "words"),
+    ("system", "answer", "left_alone", "message"),
     [
         ("linux", {"ps": "systemd\nbash"}, True, "none that is known"),
         ("linux", {"ps": "systemd\nclamonacc"}, None, "ClamAV"),
@@ -247,24 +245,24 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
         ("darwin", {}, None, "not asked"),
     ],
 )
-def test_whether_a_scanner_holds_the_data_s_files(
-    system: str, answer: dict[str, str], left_alone: bool | None, words: str
+def test_the_scanner_check_follows_the_exclusions(
+    system: str, answer: dict[str, str], left_alone: bool | None, message: str
 ) -> None:
     folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
     found = by_name(machine_checks("wall", folder, ask=answers(**answer), system=system))["antivirus"]
-    assert (found.values["data_folder_left_alone"], words in found.found) == (left_alone, True)
+    assert (found.values["data_folder_left_alone"], message in found.found) == (left_alone, True)
     assert found.state == ("ok" if left_alone else "warn")
     assert str(folder) in found.remedy or found.state == "ok"
 
 
-def test_on_simulated_time_none_of_it_matters() -> None:
+def test_on_simulated_time_computer_checks_are_skipped() -> None:
     checks = by_name(machine_checks("simulated", FOLDER, ask=answers(), system="linux"))
     skipped = {name for name, one in checks.items() if one.state == "skipped"}
     assert skipped == {"clock synchronised", "sleep", "updates", "antivirus"}
 
 
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
-def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) -> None:
+def test_a_clock_step_during_the_check_is_detected(step_s: float, state: str) -> None:
     checks = machine_checks(
         "simulated",
         FOLDER,
@@ -274,7 +272,7 @@ def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) ->
     assert by_name(checks)["monotonic clock"].state == state
 
 
-def test_a_program_that_is_not_there_or_fails_is_no_answer() -> None:
+def test_a_missing_or_failing_program_gives_no_answer() -> None:
     assert ask_system(["solimon-no-such-program"]) is None
     assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
     assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
@@ -287,19 +285,19 @@ AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_f
 """However full this machine's volume is."""
 
 
-def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
+def test_a_new_folder_passes_and_is_not_created(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
-    assert {one.state for one in checks.values()} == {"ok"}
+    assert {item.state for item in checks.values()} == {"ok"}
     assert "to be made" in checks["data folder: writable"].found
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
 
 
-def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Path) -> None:
+def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
     assert run(settings, tmp_path)
     checks = by_name(storage_checks(settings, tmp_path))
-    assert {one.state for one in checks.values()} == {"ok"}
+    assert {item.state for item in checks.values()} == {"ok"}
     assert checks["disk: space"].values["stored_bytes"] == sum(
         path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
     )
@@ -314,7 +312,7 @@ def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Pa
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_lost_catalogue_is_told_and_the_sets_say_whose_they_are(tmp_path: Path) -> None:
+def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
@@ -328,19 +326,19 @@ def test_a_lost_catalogue_is_told_and_the_sets_say_whose_they_are(tmp_path: Path
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_folder_with_somebody_s_files_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_foreign_files_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
     assert (found.state, "thesis.tex" in found.found) == ("fail", True)
 
 
-def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+def test_a_file_at_the_path_of_the_folder_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("precious")
     found = by_name(storage_checks(Settings(), tmp_path / "file" / "data"))["data folder: writable"]
     assert (found.state, "is a file" in found.found) == ("fail", True)
 
 
-def test_a_disk_that_refuses_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_rejects_writing_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -372,7 +370,7 @@ def test_the_disk_is_compared_with_the_plan(
 
 
 def test_confirmation_sets_are_forecast_as_an_upper_bound():
-    """Two a day at each of three transducers, over the fourteen days that begin after a baseline of 24 h."""
+    """Two per day at each of three transducers, in the fourteen days after a baseline of 24 h."""
     a_set = most_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
     rows = CATALOGUE_BYTES_A_RECORD * Settings().schedule.shots_per_set
     # Ten records of one transducer: a third of the set's strikes, and what each file has of its own.
@@ -383,7 +381,7 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
 
 
 @pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
-def test_a_full_volume_is_told_though_the_test_would_fit(
+def test_a_full_volume_is_reported_even_if_the_test_would_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
 ) -> None:
     usage = SimpleNamespace(free=free * 10**9, total=10**12)
@@ -394,8 +392,8 @@ def test_a_full_volume_is_told_though_the_test_would_fit(
 # Owner ----------------------------------------------------------------------------------------------
 
 
-def started(folder: Path) -> str:
-    """A recorder that takes its folder and leaves; what it says where it may not."""
+def recorder_error(folder: Path) -> str:
+    """Run a recorder that takes the folder and ends; return its error if the folder is in use."""
     try:
         with own_data_folder(folder, patience_s=0.0):
             return ""
@@ -408,31 +406,31 @@ def test_no_recorder_starts_while_the_doctor_strikes(
 ) -> None:
     folder = tmp_path / "data"
     prepare_data_folder(folder)
-    assert started(folder) == "", "a recorder was here"
+    assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
     def striking(settings: Settings, position: str) -> Trial:
-        seen.append(started(folder))
+        seen.append(recorder_error(folder))
         return Trial(position=position, checks=())
 
     monkeypatch.setattr("daq_service.cli.doctor.command.strike_transducer", striking)
     run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
     capsys.readouterr()
     assert "another recorder owns" in seen[0]
-    assert started(folder) == ""
+    assert recorder_error(folder) == ""
 
 
-def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folder_free(
+def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Refused, it would end with a final exit code and its supervisor would end the test."""
+    """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
-    assert started(folder) == "", "a recorder was here"
+    assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
     def looking(*arguments: object, **driven: bool) -> list[Check]:
-        seen.append(started(folder))
+        seen.append(recorder_error(folder))
         return []
 
     monkeypatch.setattr("daq_service.cli.doctor.command.rig_checks", looking)
@@ -441,10 +439,10 @@ def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folde
     assert seen == [""]
 
 
-def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
+def test_an_unreadable_lock_counts_as_a_running_recorder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another user's recorder: its boards must not be touched."""
+    """It may be the recorder of another user, whose boards must not be used."""
     prepare_data_folder(tmp_path)
     (tmp_path / "recorder.lock").touch()
 
@@ -455,7 +453,7 @@ def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
     assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
 
 
-def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path: Path) -> None:
     with held_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
@@ -465,16 +463,16 @@ def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
-    """A survey made up: `hardware_drivers.daqmx.survey.survey_rig` on doubles is tested elsewhere."""
+class SurveyResult:
+    """Survey with given results: `hardware_drivers.daqmx.survey.survey` has its own tests."""
 
-    board_findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     driver_version: str = "24.8.0"
     boards: tuple[BoardFacts, ...] = ()
     noise_rms_v: dict[str, float] = field(default_factory=dict)
 
 
-def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
+def checks_by_name(found: SurveyResult, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     assert LABORATORY.daqmx is not None
     seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
     return by_name([check_of_finding(finding) for finding in seen])
@@ -484,18 +482,18 @@ def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
 )
 def test_the_driver_s_version_is_compared_by_numbers(version: str, state: str) -> None:
-    found = looked(Found(driver_version=version))["driver: version"]
+    found = checks_by_name(SurveyResult(driver_version=version))["driver: version"]
     assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
 
 
 def test_a_driver_that_was_not_reached_has_no_version() -> None:
-    assert "driver: version" not in looked(Found(driver_version=""))
+    assert "driver: version" not in checks_by_name(SurveyResult(driver_version=""))
 
 
-def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
+def test_a_faulty_board_of_another_program_is_no_failure() -> None:
     broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
-    checks = looked(
-        Found(
+    checks = checks_by_name(
+        SurveyResult(
             findings=(
                 Finding(subject="board 01C16021", **broken),
                 Finding(subject="board FFFFFFFF", **broken),
@@ -507,22 +505,22 @@ def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
 
 
-def test_what_a_board_agreed_to_is_told_with_units() -> None:
-    said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
-    assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
+def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
+    finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
+    assert checks_by_name(SurveyResult(findings=(finding,)))["transducer B: trigger"].found == (
         "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
-def test_noise_goes_into_the_values() -> None:
-    said = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
-    found = looked(Found(findings=(said,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
+def test_the_noise_is_in_the_values() -> None:
+    finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
+    found = checks_by_name(SurveyResult(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
     assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
 
 
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
-def test_a_coil_that_is_on_too_often_is_worth_a_word(interval_s: float, state: str) -> None:
-    found = looked(Found(), shot_interval_s=interval_s)["coils: duty cycle"]
+def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s: float, state: str) -> None:
+    found = checks_by_name(SurveyResult(), shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
 
@@ -535,7 +533,7 @@ def coarse(folder: Path) -> Path:
     return path
 
 
-def test_the_twin_is_struck_the_way_of_every_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_twin_is_struck_like_a_normal_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike="B", as_json=True)
     out = capsys.readouterr()
     report = json.loads(out.out)
@@ -560,9 +558,9 @@ def test_without_strike_nothing_is_struck(
     assert lines[-1].startswith("0 fail, ")
 
 
-@pytest.mark.parametrize(("position", "words"), [("A", "B, C, D"), ("Z", "B, C, D")])
-def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+@pytest.mark.parametrize(("position", "message"), [("A", "B, C, D"), ("Z", "B, C, D")])
+def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike=position, as_json=True)
 
 

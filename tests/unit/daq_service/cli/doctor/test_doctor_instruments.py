@@ -1,4 +1,4 @@
-"""What the doctor finds at supply, climate probe and ultrasonic probe; it never switches anything."""
+"""Checks of supply, climate probe and ultrasonic probe by `solimon doctor`, which switches nothing."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ from hardware_drivers.serial_port.kinds import CLIMATE, SUPPLY
 on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
 
 
-def looked(kind: Kind[Any], parameters: Any) -> list[Check]:
+def run_checks(kind: Kind[Any], parameters: Any) -> list[Check]:
     return [check_of_finding(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
 
 
@@ -34,8 +34,8 @@ def rig(tmp_path: Path) -> Iterator[SerialRig]:
 
 
 @on_terminals
-def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
-    checks = by_name(looked(SUPPLY, rig.supply_parameters))
+def test_a_supply_is_queried_and_never_switched(rig: SerialRig) -> None:
+    checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "DC SUPPLY DOUBLE" in checks["supply: identity"].found
     assert checks["supply: read-back"].found.endswith("output off")
@@ -45,9 +45,9 @@ def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
 
 
 @on_terminals
-def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
+def test_a_supply_that_is_on_without_a_recorder_causes_a_warning(rig: SerialRig) -> None:
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(True))
-    checks = by_name(looked(SUPPLY, rig.supply_parameters))
+    checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: output"].state == "warn"
     assert checks["supply: output"].found.startswith("ON: ")
     assert [on for on, _ in rig.switched()] == [True], "the doctor left it as it was"
@@ -56,14 +56,14 @@ def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
 @on_terminals
 def test_a_tripped_protection_fails(rig: SerialRig) -> None:
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip("CURR"))
-    checks = by_name(looked(SUPPLY, rig.supply_parameters))
+    checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: read-back"].state == "fail"
     assert "CURR:PROT:TRIP?" in checks["supply: read-back"].found
 
 
 @on_terminals
-def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: SerialRig) -> None:
-    checks = looked(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
+def test_another_instrument_on_the_line_fails_after_one_query(rig: SerialRig) -> None:
+    checks = run_checks(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
     assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
     assert exit_code(checks) == 3
     assert set(rig.heard()) == {"*IDN?"}
@@ -71,19 +71,19 @@ def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: Ser
 
 @on_terminals
 def test_the_climate_is_read(rig: SerialRig) -> None:
-    checks = by_name(looked(CLIMATE, rig.climate_parameters))
+    checks = by_name(run_checks(CLIMATE, rig.climate_parameters))
     assert "CLIMATE PROBE DOUBLE" in checks["climate probe: identity"].found
     reading = checks["climate probe: reading"].values
     assert rig.climate.read(2.0).temperature_c == pytest.approx(float(str(reading["temperature_c"])), abs=0.1)
     rig.instruments.climate_link.unplug()
-    (gone,) = looked(CLIMATE, rig.climate_parameters)
+    (gone,) = run_checks(CLIMATE, rig.climate_parameters)
     assert (gone.state, gone.remedy != "") == ("fail", True)
 
 
 @needs_niscope
-def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
+def test_a_probe_board_is_named_and_its_record_checked() -> None:
     with met_brain(description()):
-        checks = by_name(looked(NISCOPE, parameters()))
+        checks = by_name(run_checks(NISCOPE, parameters()))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "at PXI1Slot5, channel 0" in checks["probe A: board"].found
     assert "2048 samples at 100 MS/s, mean of 16" in checks["probe A: record"].found
@@ -93,9 +93,9 @@ def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
 
 
 @needs_niscope
-def test_an_echo_beyond_its_range_is_worth_a_word() -> None:
+def test_an_echo_above_its_range_causes_a_warning() -> None:
     with met_brain(description()):
-        checks = by_name(looked(NISCOPE, parameters(range_v=0.2)))
+        checks = by_name(run_checks(NISCOPE, parameters(range_v=0.2)))
     assert checks["probe A: record"].state == "warn"
     assert checks["probe A: record"].values["clipped"] is True
 
@@ -106,15 +106,15 @@ def test_a_missing_board_hides_no_other() -> None:
         parameters(), probes={"X": ProbeWiring(resource="PXI1Slot9"), "A": parameters().probes["A"]}
     )
     with met_brain(description()):
-        checks = by_name(looked(NISCOPE, both))
+        checks = by_name(run_checks(NISCOPE, both))
     assert checks["probe X: board"].state == "fail"
     assert checks["probe A: record"].state == "ok"
 
 
 @on_terminals
-def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> None:
+def test_a_protection_that_cannot_be_queried_causes_a_warning(tmp_path: Path) -> None:
     with SerialRig(tmp_path, dialect="korad", way="tcp") as rig:
-        checks = by_name(looked(SUPPLY, rig.supply_parameters))
+        checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: identity"].found.startswith("KORAD, KA3005P")
     assert checks["supply: read-back"].state == "warn"
     assert "dialect korad asks no protection" in checks["supply: read-back"].found
@@ -122,12 +122,12 @@ def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> N
 
 
 @on_terminals
-def test_an_address_where_nobody_listens_is_told_from_an_instrument_that_is_silent(tmp_path: Path) -> None:
+def test_a_refused_connection_is_distinguished_from_a_silent_instrument(tmp_path: Path) -> None:
     with SerialRig(tmp_path, way="tcp", line={"reply_timeout_s": 0.1}) as rig:
         rig.instruments.supply_link.inject(silent=True)
-        (silent,) = looked(SUPPLY, rig.supply_parameters)
+        (silent,) = run_checks(SUPPLY, rig.supply_parameters)
         rig.instruments.supply_link.unplug()
-        (absent,) = looked(SUPPLY, rig.supply_parameters)
+        (absent,) = run_checks(SUPPLY, rig.supply_parameters)
     assert (silent.state, absent.state) == ("fail", "fail")
     assert "does not answer *IDN? within 0.1 s" in silent.found
     assert "takes no connection" in absent.found

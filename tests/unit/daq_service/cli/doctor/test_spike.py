@@ -1,4 +1,4 @@
-"""What the look at a coil's spike says: its state, and a remedy that is made of numbers there are."""
+"""Check of a coil's voltage spike: its state, and a remedy with the measured values."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -34,10 +34,10 @@ def check(monkeypatch, parameters, found):
         return found
 
     monkeypatch.setattr(spike, "survey_coil", survey_coil)
-    told, survey = spike.spike_check(parameters, "B", 1.0)
-    assert "nan" not in f"{told}".lower()
+    result, survey = spike.spike_check(parameters, "B", 1.0)
+    assert "nan" not in f"{result}".lower()
     assert survey is (None if isinstance(found, Exception) else found)
-    return told
+    return result
 
 
 @pytest.mark.parametrize(
@@ -71,23 +71,21 @@ def check(monkeypatch, parameters, found):
         ),
     ],
 )
-def test_state_and_remedy_follow_from_what_was_seen_and_what_is_configured(
-    monkeypatch, parameters, survey, state, remedy
-):
-    told = check(monkeypatch, parameters, survey)
-    assert told.state == state
-    assert remedy in told.remedy
-    assert bool(remedy) == bool(told.remedy)
+def test_state_and_remedy_follow_from_spike_and_configuration(monkeypatch, parameters, survey, state, remedy):
+    result = check(monkeypatch, parameters, survey)
+    assert result.state == state
+    assert remedy in result.remedy
+    assert bool(remedy) == bool(result.remedy)
 
 
-def test_each_edge_is_told_beside_the_wave_that_is_expected(monkeypatch):
-    told = check(monkeypatch, PLAIN, replace(QUIET, off=SPIKE))
-    assert told.found == (
+def test_each_edge_is_reported_with_the_expected_wave(monkeypatch):
+    result = check(monkeypatch, PLAIN, replace(QUIET, off=SPIKE))
+    assert result.found == (
         "on: no spike; off: spike 0.8 V for 2 us, rings 12.3 ms, flyback -0.3 V, takes the trigger; the wave "
         "came 32 ms after off with 2.4 V (expected 31.9 ms); trigger level 0.25 V, no holdoff"
     )
-    assert told.values["off_height_v"] == 0.8
-    assert told.values["expected_wave_after_s"] == pytest.approx(31.93e-3, rel=1e-3)
+    assert result.values["off_height_v"] == 0.8
+    assert result.values["expected_wave_after_s"] == pytest.approx(31.93e-3, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -101,13 +99,13 @@ def test_each_edge_is_told_beside_the_wave_that_is_expected(monkeypatch):
     ],
 )
 def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state, area):
-    told = check(monkeypatch, parameters, error)
-    assert (told.state, told.area) == (state, area)
-    assert told.remedy
+    result = check(monkeypatch, parameters, error)
+    assert (result.state, result.area) == (state, area)
+    assert result.remedy
 
 
 @pytest.mark.parametrize(
-    ("features", "survey", "state", "words"),
+    ("features", "survey", "state", "message"),
     [
         (ShotFeatures(isw_amplitude_v=2.5), None, "ok", "10% of the incident wave"),
         (ShotFeatures(isw_amplitude_v=0.3), None, "warn", "83% of the incident wave"),
@@ -121,8 +119,8 @@ def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state
         ),
     ],
 )
-def test_a_level_is_judged_by_a_wave_that_there_is(features, survey, state, words):
+def test_a_trigger_level_is_checked_against_a_measured_wave(features, survey, state, message):
     shot = SimpleNamespace(key=ShotKey(position="B", set_index=0, shot_index=0))
-    told = trial._level(Settings(), shot, features, survey)
-    assert (told.state, words in told.found) == (state, True), told.found
-    assert "nan" not in f"{told.found} {told.remedy}".lower()
+    result = trial._level(Settings(), shot, features, survey)
+    assert (result.state, message in result.found) == (state, True), result.found
+    assert "nan" not in f"{result.found} {result.remedy}".lower()

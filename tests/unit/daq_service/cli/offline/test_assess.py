@@ -1,4 +1,4 @@
-"""``solimon assess``: tables of other people in, JSON or words out."""
+"""``solimon assess``: foreign tables as input, JSON or text as output."""
 
 import json
 
@@ -15,7 +15,7 @@ from daq_service.cli.offline.table_file import read_table
 from daq_service.errors import UsageError
 
 NAMES = ["tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s"]
-MAX_LISTED = {
+SENSOR_KEYS = {
     *("file", "refused", "features_dropped", "n", "n_eff", "phi_pooled", "tail", "suspects", "named"),
     *("left_out", "limits", "count", "first", "alarm", "rows"),
 }
@@ -34,7 +34,7 @@ def vectors():
 
 @pytest.fixture
 def tables(tmp_path, vectors):
-    """The same sensor in each format."""
+    """Return files of the same sensor in each format."""
     np.save(tmp_path / "sensor.npy", vectors)
     parts = ["healthy" if row < 40 else "test" for row in range(len(vectors))]
     parquet.write_table(
@@ -50,23 +50,23 @@ def run(*arguments):
     return CliRunner().invoke(cli, ["assess", *map(str, arguments)], catch_exceptions=False)
 
 
-def told(*arguments):
+def assessed_sensors(*arguments):
     answer = run(*arguments, "--json")
     assert answer.exit_code == 0, answer.output
     return json.loads(answer.output)["sensors"]
 
 
-def refused(*arguments):
+def rejection_message(*arguments):
     with pytest.raises(UsageError) as caught:
         run(*arguments)
     return str(caught.value)
 
 
-def test_every_format_says_the_same(tables):
-    (npy,) = told(tables[".npy"], "--baseline-rows", 40)
-    (csv_,) = told(tables[".csv"], "--baseline-where", "part=healthy")
-    (arrow,) = told(tables[".parquet"], "--baseline-where", "part=healthy")
-    assert set(npy) >= MAX_LISTED
+def test_every_format_has_the_same_result(tables):
+    (npy,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
+    (csv_,) = assessed_sensors(tables[".csv"], "--baseline-where", "part=healthy")
+    (arrow,) = assessed_sensors(tables[".parquet"], "--baseline-where", "part=healthy")
+    assert set(npy) >= SENSOR_KEYS
     assert set(npy["limits"]) == set(npy["count"]) == set(npy["first"]) == LIMITS
     assert csv_.pop("columns_assessed") == arrow.pop("columns_assessed") == NAMES
     assert npy.pop("columns_assessed") == [*"01234"]
@@ -80,19 +80,19 @@ def test_every_format_says_the_same(tables):
     assert "40 sets" in npy["alarm"]["why"]
 
 
-def test_the_paper_s_limit_stands_beside_what_it_does_not_keep(tables):
-    said = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
-    experiment_text = {line.split()[0]: line for line in said if " limit " in line}
+def test_the_paper_s_limit_is_shown_with_its_actual_false_alarm_rate(tables):
+    lines = run(tables[".npy"], "--baseline-rows", 40).stdout.splitlines()
+    experiment_text = {line.split()[0]: line for line in lines if " limit " in line}
     assert "5 % with 48 and 2 % with 200, where 0.27 % was meant" in experiment_text["paper_mean_3sd"]
     assert all("%" not in line for name, line in experiment_text.items() if name != "paper_mean_3sd")
 
 
-def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
+def test_features_baseline_mark_and_rows_can_be_selected(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["healthy,a,b,c", *lines]), encoding="utf-8")
-    (all_of_them,) = told(path, "--baseline-where", "healthy=1", "--no-rows")
-    (some,) = told(path, "--baseline-where", "healthy=1", "--features", "b, a", "--no-rows")
+    (all_of_them,) = assessed_sensors(path, "--baseline-where", "healthy=1", "--no-rows")
+    (some,) = assessed_sensors(path, "--baseline-where", "healthy=1", "--features", "b, a", "--no-rows")
     assert all_of_them["features_dropped"] == ["c"]
     assert some["features_dropped"] == []
     assert "rows" not in some
@@ -103,9 +103,9 @@ def test_empty_cells_are_missing_values(tmp_path, vectors):
     path = tmp_path / "sensor.csv"
     lines = [f"{a},{'' if row in (3, 70) else b}" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["a,b", *lines]), encoding="utf-8")
-    (found,) = told(path, "--baseline-rows", 40)
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["n"] == 39
-    assert [one["row"] for one in found["left_out"]] == [3, 70]
+    assert [item["row"] for item in found["left_out"]] == [3, 70]
     assert found["rows"][70] == {
         "row": 70,
         "distance_squared": None,
@@ -115,27 +115,27 @@ def test_empty_cells_are_missing_values(tmp_path, vectors):
     }
 
 
-def test_many_sensors_are_judged_by_several_processes_alike(tmp_path, tables):
+def test_multiple_processes_assess_many_sensors_identically(tmp_path, tables):
     paths = []
     for k in range(17):
         paths.append(tmp_path / f"{k}.npy")
         np.save(paths[-1], healthy("independent", 60, np.random.default_rng(k)))
-    alone = [told(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
-    together = told(*paths, "--baseline-rows", 20, "--no-rows")
-    assert [one["file"] for one in together] == [str(path) for path in paths]
+    alone = [assessed_sensors(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
+    together = assessed_sensors(*paths, "--baseline-rows", 20, "--no-rows")
+    assert [item["file"] for item in together] == [str(path) for path in paths]
     assert together[:2] == alone
 
 
-def test_a_sensor_that_cannot_be_judged_is_told_and_the_others_are_judged(tmp_path, tables):
+def test_a_sensor_that_cannot_be_assessed_is_reported_and_the_others_are_assessed(tmp_path, tables):
     np.save(tmp_path / "short.npy", np.random.default_rng(0).standard_normal((14, 5)))
-    short, good = told(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
+    short, good = assessed_sensors(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
     assert "14 rows" in short["refused"]
     assert short["limits"] == {}
     assert short["rows"] == []
     assert good["refused"] is None
 
 
-def test_people_are_told_in_words(tables):
+def test_the_text_output_has_baseline_limits_and_alarms(tables):
     answer = run(tables[".npy"], "--baseline-rows", 40, "--budget", 1)
     assert "baseline   40 sets" in answer.output
     assert "f_predictive" in answer.output
@@ -144,7 +144,7 @@ def test_people_are_told_in_words(tables):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "message"),
     [
         ("a.csv", "", "empty"),
         ("a.csv", "a,b", "0 rows"),
@@ -162,38 +162,40 @@ def test_people_are_told_in_words(tables):
         ("a.parquet", "no table", "no Parquet file"),
     ],
 )
-def test_a_file_that_is_no_table_is_refused_beside_the_others(tmp_path, tables, name, content, words):
+def test_a_file_that_is_no_table_is_rejected_and_the_others_are_assessed(
+    tmp_path, tables, name, content, message
+):
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    bad, good = told(path, tables[".npy"], "--baseline-rows", 40)
-    assert words in bad["refused"]
+    bad, good = assessed_sensors(path, tables[".npy"], "--baseline-rows", 40)
+    assert message in bad["refused"]
     assert set(bad) == set(good) - {"default_because"}
     assert good["refused"] is None
 
 
-def test_a_parquet_file_with_a_name_twice_is_refused(tmp_path, vectors):
+def test_a_parquet_file_with_a_duplicate_name_is_rejected(tmp_path, vectors):
     parquet.write_table(pa.table(list(vectors[:, :2].T), names=["a", "a"]), tmp_path / "a.parquet")
-    (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.parquet", "--baseline-rows", 20)
     assert bad["refused"].endswith("a.parquet: each column must be named once; they are 'a,a'")
 
 
-def test_a_feature_that_no_row_has_is_named_where_the_baseline_is_refused_for_it(tmp_path, vectors):
+def test_an_empty_feature_is_named_when_it_prevents_a_baseline(tmp_path, vectors):
     text = "\n".join(["a,b,c", *(f"{a},{b}," for a, b, *_ in vectors.tolist())])
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
-    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert bad["refused"].startswith("0 complete rows in the baseline; at least 15 are needed")
     assert bad["refused"].endswith("leave out c, which 0 of 40 have")
 
 
 @pytest.mark.parametrize("absurd", [1e120, -1e200, 1e308])
 @pytest.mark.parametrize("fleet", [[], ["--fleet"]])
-def test_an_absurd_value_ends_no_run(tmp_path, tables, vectors, absurd, fleet):
+def test_an_absurd_value_rejects_only_its_sensor(tmp_path, tables, vectors, absurd, fleet):
     for row in (10, 80):
         cells = vectors.copy()
         cells[row, 2] = absurd
         np.save(tmp_path / f"{row}.npy", cells)
     paths = (tables[".npy"], tmp_path / "10.npy", tmp_path / "80.npy")
-    good, before, after = told(*paths, "--baseline-rows", 40, *fleet)
+    good, before, after = assessed_sensors(*paths, "--baseline-rows", 40, *fleet)
     assert f"2 of row 10 is {absurd:.4g}" in before["refused"]
     assert "correct or empty that cell, or leave 2 out" in before["refused"]
     assert good["refused"] is after["refused"] is None
@@ -204,24 +206,24 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_is_refused_by_name(tmp
     cells = vectors.copy()
     cells[:, 3] = np.arange(len(cells)) % 10 == 7
     np.save(tmp_path / "a.npy", cells)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 40)
     assert bad["refused"].startswith("3 of row 7 is 1, where most of the baseline is within 0 of 0")
 
 
-def test_a_baseline_that_no_row_is_of_is_told_with_what_there_is(tables):
-    (bad,) = told(tables[".csv"], "--baseline-where", "part=good")
+def test_a_baseline_without_rows_is_rejected_with_the_available_values(tables):
+    (bad,) = assessed_sensors(tables[".csv"], "--baseline-where", "part=good")
     assert bad["refused"].endswith("no row has part=good; there is healthy, test")
-    (same,) = told(tables[".csv"], "--baseline-where", " part = Healthy ")
+    (same,) = assessed_sensors(tables[".csv"], "--baseline-where", " part = Healthy ")
     assert same["n"] == 40
 
 
-def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
+def test_a_baseline_that_leaves_no_row_to_assess_causes_a_warning(tables):
     answer = run(tables[".npy"], "--baseline-rows", 500, "--json")
     (found,) = json.loads(answer.stdout)["sensors"]
     assert found["n"] == 120
     assert found["nothing_judged"].startswith("the last of 120 rows is baseline: nothing is judged")
     assert found["nothing_judged"] in answer.stderr
-    assert told(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
+    assert assessed_sensors(tables[".npy"], "--baseline-rows", 119)[0]["nothing_judged"] is None
 
 
 @pytest.mark.parametrize(
@@ -229,23 +231,23 @@ def test_a_baseline_to_the_last_row_is_told_to_leave_nothing_to_judge(tables):
 )
 def test_an_array_that_is_no_table_is_refused(tmp_path, array):
     np.save(tmp_path / "a.npy", array)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 20)
     assert "a.npy" in bad["refused"]
 
 
 def test_objects_are_not_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 20)
     assert bad["refused"].endswith("no .npy file of numbers, rows x features")
 
 
-@pytest.mark.parametrize(("name", "words"), [("a.txt", "not .txt"), ("a", "one without ending")])
-def test_a_file_of_another_kind_is_the_wrong_thing_to_ask_for(tmp_path, name, words):
+@pytest.mark.parametrize(("name", "message"), [("a.txt", "not .txt"), ("a", "one without ending")])
+def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, message):
     (tmp_path / name).write_text("1", encoding="utf-8")
-    assert words in refused(tmp_path / name, "--baseline-rows", 20)
+    assert message in rejection_message(tmp_path / name, "--baseline-rows", 20)
 
 
-def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tmp_path, tables):
+def test_a_missing_file_causes_an_error_after_the_other_results(tmp_path, tables):
     answer = CliRunner().invoke(
         cli, ["assess", str(tmp_path / "none.csv"), str(tables[".npy"]), "--baseline-rows", "40", "--json"]
     )
@@ -259,12 +261,12 @@ def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tm
     ("separator", "decimal", "named"),
     [(";", ",", True), ("\t", ".", True), (", ", ".", True), (",", ".", False), (";", ",", False)],
 )
-def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separator, decimal, named):
-    (expected,) = told(tables[".npy"], "--baseline-rows", 40)
+def test_csv_of_other_programs_has_the_same_result(tmp_path, tables, vectors, separator, decimal, named):
+    (expected,) = assessed_sensors(tables[".npy"], "--baseline-rows", 40)
     lines = [separator.join(repr(v).replace(".", decimal) for v in row) for row in vectors.tolist()]
     text = "\r\n".join([separator.join("01234"), *lines] if named else lines)
     (tmp_path / "other.csv").write_text(text, encoding="utf-8-sig")
-    (found,) = told(tmp_path / "other.csv", "--baseline-rows", 40)
+    (found,) = assessed_sensors(tmp_path / "other.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
 
 
@@ -290,67 +292,71 @@ def test_comments_before_the_rows_are_skipped_and_the_last_one_may_name_the_colu
     assert table.vectors == pytest.approx(vectors[:, 3 - len(names) : 3])
 
 
-def test_a_row_whose_label_begins_like_a_comment_is_none(tmp_path, vectors):
+def test_a_row_label_that_starts_like_a_comment_is_read(tmp_path, vectors):
     path = tmp_path / "a.csv"
     cells = [f"#{row},{a}" if row != 50 else "#50," for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["set,a", *cells]), encoding="utf-8")
-    (found,) = told(path, "--baseline-rows", 40)
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["refused"] is None
-    assert [one["row"] for one in found["left_out"]] == [50]
+    assert [item["row"] for item in found["left_out"]] == [50]
 
 
-def test_cells_are_told_as_the_file_has_them(tmp_path, vectors):
+def test_messages_quote_cells_as_they_are_in_the_file(tmp_path, vectors):
     path = tmp_path / "a.csv"
     rows = [f"12.040,{row:03};{a!r};{0.5 * (row < 40)}" for row, (a, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["hour;a;phase", *rows]).replace(";0.", ";0,"), encoding="utf-8")
-    assert "column 'hour' holds '12.040,000', no number" in refused(
+    assert "column 'hour' holds '12.040,000', no number" in rejection_message(
         path, "--baseline-rows", 40, "--features", "hour"
     )
-    (bad,) = told(path, "--baseline-where", "phase=0.6")
+    (bad,) = assessed_sensors(path, "--baseline-where", "phase=0.6")
     assert bad["refused"].endswith("no row has phase=0.6; there is 0,5, 0,0")
     for value in ("0.5", "0,5"):
-        (found,) = told(path, "--baseline-where", f"phase={value}")
+        (found,) = assessed_sensors(path, "--baseline-where", f"phase={value}")
         assert found["n"] == 40
 
 
-def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):
+def test_words_for_missing_values_are_recognized_and_unnamed_columns_skipped(tmp_path, vectors):
     cells = {3: "NA", 50: " ", 60: "null", 70: "-inf", 80: "broken"}
     lines = [f"{row},{a},{cells.get(row, b)}," for row, (a, b, *_) in enumerate(vectors.tolist())]
     (tmp_path / "a.csv").write_text("\n".join([",a,b,", *lines]), encoding="utf-8")
-    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
     assert found["n"] == 39
     assert found["features_dropped"] == []
-    assert [one["row"] for one in found["left_out"]] == [*cells]
-    assert "trend" not in [one["kind"] for one in found["named"]]
+    assert [item["row"] for item in found["left_out"]] == [*cells]
+    assert "trend" not in [item["kind"] for item in found["named"]]
 
 
-def test_arguments_that_say_no_baseline_are_refused(tables):
+def test_arguments_without_a_baseline_are_rejected(tables):
     path = tables[".csv"]
-    assert "say what is the baseline" in refused(path)
-    assert "say what is the baseline" in refused(path, "--baseline-rows", 3, "--baseline-where", "a=b")
-    assert "COLUMN=VALUE" in refused(path, "--baseline-where", "part")
-    assert "no column 'hour'" in refused(path, "--baseline-where", "hour=3")
-    assert "no column x; it has part" in refused(path, "--baseline-rows", 20, "--features", "x")
-    assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
+    assert "say what is the baseline" in rejection_message(path)
+    assert "say what is the baseline" in rejection_message(
+        path, "--baseline-rows", 3, "--baseline-where", "a=b"
+    )
+    assert "COLUMN=VALUE" in rejection_message(path, "--baseline-where", "part")
+    assert "no column 'hour'" in rejection_message(path, "--baseline-where", "hour=3")
+    assert "no column x; it has part" in rejection_message(path, "--baseline-rows", 20, "--features", "x")
+    assert "holds 'healthy', no number" in rejection_message(
+        path, "--baseline-rows", 20, "--features", "part"
+    )
 
 
 @pytest.mark.parametrize("budget", ["8766", "1e-9"])
 def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
-    assert f"--budget {float(budget):g} at 24 sets" in refused(
+    assert f"--budget {float(budget):g} at 24 sets" in rejection_message(
         tables[".csv"], "--baseline-rows", 40, "--budget", budget
     )
-    assert told(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
+    assert assessed_sensors(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
 
 
 @pytest.mark.parametrize("option", ["--budget", "--sets-per-day"])
 @pytest.mark.parametrize("value", ["nan", "inf", "0"])
-def test_numbers_that_are_none_are_refused_before_anything_is_read(option, value):
+def test_invalid_numbers_are_rejected_before_any_file_is_read(option, value):
     answer = CliRunner().invoke(cli, ["assess", "none.csv", "--baseline-rows", "40", option, value])
     assert answer.exit_code == 2
     assert f"Invalid value for '{option}'" in answer.stderr
 
 
-def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
+def test_a_fleet_is_compared_with_its_median_and_the_common_change_is_reported(tmp_path):
     random, paths = np.random.default_rng(8), []
     for k in range(24):
         x = random.standard_normal((300, 5))
@@ -371,9 +377,9 @@ def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
     assert 200 <= cause["first_row"] < 206
     assert cause["last_row"] == 299
     assert len(fleet["explained"]) >= 20
-    words = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
-    assert "fleet of 7 sensors, 6 judged" in words
-    assert "fewer than 20 sensors: what they share is not taken out" in words
+    output = run(*paths[:7], "--baseline-rows", 150, "--fleet").output
+    assert "fleet of 7 sensors, 6 judged" in output
+    assert "fewer than 20 sensors: what they share is not taken out" in output
     every = fleet_in_words(fleet)
     assert "look at    " in every
     assert "all move   rows 20" in every
@@ -383,13 +389,13 @@ def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
 def test_sensors_of_a_fleet_have_the_same_features(tmp_path):
     for name, features in (("a", 3), ("b", 2)):
         np.save(tmp_path / f"{name}.npy", np.random.default_rng(0).standard_normal((40, features)))
-    assert "b.npy has the features 0, 1" in refused(
+    assert "b.npy has the features 0, 1" in rejection_message(
         tmp_path / "a.npy", tmp_path / "b.npy", "--baseline-rows", 20, "--fleet"
     )
 
 
-def written(path, columns, separator=",", **options):
-    """A table of other people: cells as texts."""
+def write_table(path, columns, separator=",", **options):
+    """Write a foreign table with cells as text."""
     rows = [separator.join(map(str, row)) for row in zip(*columns.values(), strict=True)]
     path.write_text("\n".join([separator.join(columns), *rows]), **{"encoding": "utf-8", **options})
     return path
@@ -424,28 +430,28 @@ def test_a_column_of_nearly_numbers_is_refused_with_its_cell_and_the_remedy(
 ):
     columns = first_two(vectors)
     columns["b"][first:] = [cell] * (120 - first)
-    (bad,) = told(written(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(write_table(tmp_path / "a.csv", columns, separator), "--baseline-rows", 40)
     shown = cell.strip('"')
     assert f"a.csv: column 'b' holds {shown!r} in row {first}, nearly a number" in bad["refused"]
     assert "write the number alone" in bad["refused"]
-    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
+    (found,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a")
     assert found["refused"] is None
     if not first:
-        words = refused(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
-        assert words.endswith("in row 0: write the number alone, or choose others")
+        message = rejection_message(tmp_path / "a.csv", "--baseline-rows", 40, "--features", "a,b")
+        assert message.endswith("in row 0: write the number alone, or choose others")
 
 
 def test_a_duration_and_texts_of_numbers_in_parquet_are_refused(tmp_path, vectors):
     for column in (pa.array([338_200] * 120, pa.duration("ns")), pa.array(["338.20 us"] * 120)):
         parquet.write_table(pa.table({"a": vectors[:, 0], "b": column}), tmp_path / "a.parquet")
-        (bad,) = told(tmp_path / "a.parquet", "--baseline-rows", 40)
+        (bad,) = assessed_sensors(tmp_path / "a.parquet", "--baseline-rows", 40)
         assert "a.parquet: column 'b' holds " in bad["refused"]
 
 
 def test_thousands_and_decimals_with_the_same_mark_are_refused(tmp_path, vectors):
     columns = first_two(vectors)
     columns["b"][:] = ["338.2"] * 60 + ["1,338"] * 60
-    (bad,) = told(written(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
+    (bad,) = assessed_sensors(write_table(tmp_path / "a.csv", columns, ";"), "--baseline-rows", 40)
     assert "column 'b' holds '1,338' in row 60, nearly a number" in bad["refused"]
 
 
@@ -478,18 +484,18 @@ LEFT_OUT = {
 @pytest.mark.parametrize("name", LEFT_OUT)
 def test_a_column_that_is_no_feature_is_left_out_with_its_reason_and_a_cell(tmp_path, vectors, name):
     cells, reason, cell = LEFT_OUT[name]
-    path = written(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
-    (found,) = told(path, "--baseline-rows", 40)
+    path = write_table(tmp_path / "a.csv", {name: cells, **first_two(vectors)})
+    (found,) = assessed_sensors(path, "--baseline-rows", 40)
     assert found["columns_assessed"] == ["a", "b"]
     assert found["columns_left_out"] == [{"name": name, "reason": reason, "row": 0, "cell": cell}]
-    words = run(path, "--baseline-rows", 40).output.splitlines()
-    assert f"  left out   {name!r}: {reason} ({cell!r} in row 0)" in words
-    assert "  columns    a, b" in words
+    lines = run(path, "--baseline-rows", 40).output.splitlines()
+    assert f"  left out   {name!r}: {reason} ({cell!r} in row 0)" in lines
+    assert "  columns    a, b" in lines
 
 
-def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
-    path = written(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
-    (found,) = told(path, "--baseline-rows", 40, "--features", "hour,a")
+def test_a_column_that_is_left_out_can_be_requested(tmp_path, vectors):
+    path = write_table(tmp_path / "a.csv", {"hour": range(120), **first_two(vectors)})
+    (found,) = assessed_sensors(path, "--baseline-rows", 40, "--features", "hour,a")
     assert found["columns_assessed"] == ["hour", "a"]
     assert found["columns_left_out"] == []
 
@@ -500,15 +506,15 @@ def test_a_column_that_is_left_out_may_be_asked_for(tmp_path, vectors):
 def test_an_instrument_s_overload_is_a_missing_value(tmp_path, vectors, cell):
     columns = first_two(vectors)
     columns["b"][5] = columns["b"][70] = cell
-    (found,) = told(written(tmp_path / "a.csv", columns), "--baseline-rows", 40)
-    assert (found["n"], [one["row"] for one in found["left_out"]]) == (39, [5, 70])
+    (found,) = assessed_sensors(write_table(tmp_path / "a.csv", columns), "--baseline-rows", 40)
+    assert (found["n"], [item["row"] for item in found["left_out"]]) == (39, [5, 70])
 
 
 def test_an_overload_in_an_array_is_a_missing_value(tmp_path, vectors):
     vectors[5, 1] = 9.91e37
     np.save(tmp_path / "a.npy", vectors.astype(np.float32))
-    (found,) = told(tmp_path / "a.npy", "--baseline-rows", 40)
-    assert [one["row"] for one in found["left_out"]] == [5]
+    (found,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 40)
+    assert [item["row"] for item in found["left_out"]] == [5]
 
 
 def semicolons(text):
@@ -530,14 +536,14 @@ def semicolons(text):
     ],
 )
 def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, changed, encoding):
-    plain = written(tmp_path / "a.csv", first_two(vectors))
+    plain = write_table(tmp_path / "a.csv", first_two(vectors))
     (tmp_path / "b.csv").write_text(changed(plain.read_text(encoding="utf-8")), encoding=encoding)
-    expected, found = told(plain, tmp_path / "b.csv", "--baseline-rows", 40)
+    expected, found = assessed_sensors(plain, tmp_path / "b.csv", "--baseline-rows", 40)
     assert {**found, "file": ""} == {**expected, "file": ""}
 
 
 @pytest.mark.parametrize(
-    ("header", "last", "words"),
+    ("header", "last", "message"),
     [
         ("x,a,b", "Mean,0.1,0.2", "the last row is 'Mean' of the others, not a set: take it out"),
         ("x,a,b", "Total:,0.1,", "the last row is 'Total:' of the others, not a set"),
@@ -548,8 +554,8 @@ def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, c
         ),
     ],
 )
-def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, words):
+def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, message):
     rows = [f"dry,{a},{b}" for a, b, *_ in vectors.tolist()]
     (tmp_path / "a.csv").write_text("\n".join([header, *rows, last]), encoding="utf-8")
-    (bad,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
-    assert words in bad["refused"]
+    (bad,) = assessed_sensors(tmp_path / "a.csv", "--baseline-rows", 40)
+    assert message in bad["refused"]

@@ -1,4 +1,4 @@
-"""A small file that claims a large table, or asks to be unpickled, is refused before memory is taken."""
+"""A small file that declares a large table or a pickle is rejected before memory is allocated."""
 
 import struct
 import tracemalloc

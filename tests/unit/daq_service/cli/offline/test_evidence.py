@@ -1,4 +1,4 @@
-"""A stored test judged once more: what other settings change, and why an alarm stands."""
+"""Replay of a stored test with other settings, and explanation of its alarms."""
 
 import json
 import pickle
@@ -37,7 +37,7 @@ def life(tmp_path_factory):
 
 @pytest.fixture
 def changed_line(line, tmp_path):
-    """Give a copy of the folder in whose catalogue these rows of B stand otherwise."""
+    """Return a copy of the folder in whose catalogue some rows of B have other values."""
 
     def change(kind, set_index, **columns):
         folder = tmp_path / "changed"
@@ -64,17 +64,17 @@ def explain(folder, alarm_id, out, *options):
 
 
 def content_of(folder):
-    """Every file and its bytes, but for what SQLite notes of its readers."""
+    """Return every file and its bytes, except the read marks of SQLite."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {path: path.read_bytes() for path in files if not path.name.endswith(("-shm", "-wal"))}
 
 
-def raised(onsets):
-    return {(one.position, one.kind): one.set_index for one in onsets}
+def raised_sets(onsets):
+    return {(item.position, item.kind): item.set_index for item in onsets}
 
 
-class Elsewhere(Executor):
-    """Does its tasks at once, with copies, as another process has them."""
+class CopyingExecutor(Executor):
+    """Executor double that runs tasks immediately on copies, as another process does."""
 
     def submit(self, work, /, *arguments):
         future = Future()
@@ -85,44 +85,44 @@ class Elsewhere(Executor):
 
 @pytest.mark.parametrize("extract_by", [None, ("processes", 2)])
 def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract_by, monkeypatch):
-    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(Elsewhere()))
+    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(CopyingExecutor()))
     before = content_of(line.folder)
-    # Beside the plan there are two more: both suspicions were confirmed.
+    # There are two unscheduled sets: both outliers were confirmed.
     found = replayed(line.folder, (), extract_by=extract_by)
     assert (found.sets, found.extracted, found.differences) == (25, extract_by is not None, [])
-    assert raised(found.alarms.kept) == RAISED
+    assert raised_sets(found.alarms.kept) == RAISED
     assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
     assert content_of(line.folder) == before
 
 
-def test_what_people_did_and_sets_without_a_record_are_judged_where_they_stood(life):
+def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
-    assert {one.kind for one in found.alarms.kept} == {"no_data", "retired", "not_judged"}
-    # D has two poor sets running in set 3, and was reinstated before it had four.
+    assert {item.kind for item in found.alarms.kept} == {"no_data", "retired", "not_judged"}
+    # D has two consecutive poor sets in set 3, and was enabled before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
-    assert raised(later.go) == {("D", "no_data"): 3}
+    assert raised_sets(later.go) == {("D", "no_data"): 3}
 
 
 def test_a_setting_moves_an_alarm(line):
     done = solimon_here("replay", str(line.folder), "--set", "alarms.k=2", "--json", env={})
-    told = json.loads(done.stdout)
-    (moved,) = told["alarms"]["moved"]
+    answer = json.loads(done.stdout)
+    (moved,) = answer["alarms"]["moved"]
     assert done.returncode == 0
     assert (moved["stored"]["set_index"], moved["again"]["set_index"]) == (23, 22)
-    assert told["changed"] == {"alarms.k": 2}
+    assert answer["changed"] == {"alarms.k": 2}
 
 
-def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_otherwise(line):
+def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
     found = replayed(line.folder, ["baseline.hours=8"])
     words = list(in_words(found))
     assert "stays  C hole: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words
-    of_b = {(one.table, one.column): one for one in found.differences if one.position == "B"}
+    of_b = {(item.table, item.column): item for item in found.differences if item.position == "B"}
     assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
     limit = of_b["baseline", "limits.f_predictive"]
     assert limit.again < limit.stored
-    # Set 15 was judged, and is part of the baseline now.
+    # Set 15 was assessed and is now part of the baseline.
     assert of_b["assessment", "in_baseline"].n_rows == 1
     assert of_b["assessment", "in_baseline"].first_set_index == 15
     assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
@@ -130,38 +130,40 @@ def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_
 
 @pytest.mark.parametrize(
     ("hours", "unjudged"),
-    # C has a hole in set 22 and is struck no more.
+    # C has a hole in set 22 and is not struck afterwards.
     [(7.5, []), (12, [("C", 23, 22)]), (12.5, [("B", 24, 24), ("C", 24, 22)])],
 )
-def test_a_baseline_behind_which_no_set_lies_is_told_at_each_position(line, hours, unjudged):
+def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours, unjudged):
     done = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", "--json", env={})
-    told = json.loads(done.stdout)["not_assessed"]
-    assert [(one["position"], one["last_set_index"], one["last_set"]) for one in told] == unjudged
-    for one in told:
-        position, last_set = one["position"], one["last_set"]
-        assert one["told"] == (
+    not_assessed = json.loads(done.stdout)["not_assessed"]
+    assert [(item["position"], item["last_set_index"], item["last_set"]) for item in not_assessed] == unjudged
+    for item in not_assessed:
+        position, last_set = item["position"], item["last_set"]
+        assert item["told"] == (
             f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
-            f"{one['last_set_index']} the baseline, and the last one there is set {last_set}; "
+            f"{item['last_set_index']} the baseline, and the last one there is set {last_set}; "
             "give fewer hours"
         )
-    words = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
-    assert [text for text in words.splitlines() if "nothing is judged" in text] == [
-        one["told"] for one in told
+    output = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
+    assert [text for text in output.splitlines() if "nothing is judged" in text] == [
+        item["told"] for item in not_assessed
     ]
 
 
-def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(line):
+def test_each_column_has_its_count_and_the_outliers_come_first(line):
     found = replayed(line.folder, ["novelty.limit=paper_mean_3sd"])
-    of_b = {one.column: one for one in found.differences if (one.table, one.position) == ("assessment", "B")}
+    of_b = {
+        item.column: item for item in found.differences if (item.table, item.position) == ("assessment", "B")
+    }
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
-    (told,) = [words for words in in_words(found) if words.startswith("assessment B")]
+    (sentence,) = [words for words in in_words(found) if words.startswith("verdict B")]
     first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
-    assert f"{first}; limit_name in 25 sets from set 0 on" in told
+    assert f"{first}; limit_name in 25 sets from set 0 on" in sentence
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ("schedule.shots_per_set=5", "does not say how records are judged; these do: features.of_set"),
         ("quality.restrikes_per_set=0", "quality.no_data_sets, quality.retire_after_sets"),
@@ -171,13 +173,13 @@ def test_each_column_has_its_own_count_and_what_becomes_of_a_set_is_told_first(l
         ("alarms.decides_by=luck", "alarms.decides_by: Input should be 'chart' or 'k_of_n'"),
     ],
 )
-def test_what_does_not_judge_or_is_refused_is_named_with_what_may_be_set(line, given, told):
+def test_a_setting_without_effect_or_invalid_is_rejected_with_the_valid_keys(line, given, message):
     done = solimon_here("replay", str(line.folder), "--set", given, env={})
     assert (done.returncode, done.stdout) == (2, "")
-    assert told in done.stderr
+    assert message in done.stderr
 
 
-def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line):
+def test_every_key_can_be_set_also_below_a_table_of_names(line):
     with line.catalogue() as catalogue:
         configuration = catalogue.experiment_row().configuration
     given = parsed(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
@@ -191,20 +193,20 @@ def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line
         parsed(["alarms.k=1", "alarms.k=2"])
 
 
-def test_onsets_of_the_same_set_are_kept_and_the_others_are_paired_in_order():
+def test_alarms_of_the_same_set_are_paired_before_the_others():
     def onset(set_index, position="B"):
         return Onset(
             position=position, kind="hole", set_index=set_index, hour=0.5, severity="high", message=""
         )
 
     found = alarm_changes([onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")])
-    assert [one.set_index for one in found.kept] == [7]
-    assert [(one.stored.set_index, one.again.set_index) for one in found.moved] == [(3, 5)]
-    assert [(one.position, one.set_index) for one in found.go] == [("B", 9), ("C", 4)]
-    assert [(one.position, one.set_index) for one in found.come] == [("D", 1)]
+    assert [item.set_index for item in found.kept] == [7]
+    assert [(item.stored.set_index, item.again.set_index) for item in found.moved] == [(3, 5)]
+    assert [(item.position, item.set_index) for item in found.go] == [("B", 9), ("C", 4)]
+    assert [(item.position, item.set_index) for item in found.come] == [("D", 1)]
 
 
-def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_codes(line, tmp_path):
+def test_a_foreign_folder_and_an_unreadable_set_have_their_exit_codes(line, tmp_path):
     missing = solimon_here("replay", str(tmp_path / "nowhere"), env={})
     assert (missing.returncode, missing.stdout) == (2, "")
     assert "there is no data folder" in missing.stderr
@@ -219,53 +221,58 @@ def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_cod
     assert path.name in damaged.stderr
 
 
-def test_an_alarm_of_a_change_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
+def test_a_change_alarm_is_recomputed_on_a_self_contained_page(line, tmp_path):
     before = content_of(line.folder)
     done = explain(line.folder, alarm_id_of(line, "transducer_change", "B"), tmp_path, "--json")
-    told = json.loads(done.stdout)
+    explanation = json.loads(done.stdout)
     assert done.returncode == 0
     assert content_of(line.folder) == before
-    again = told["recomputed"]
-    assert (told["agrees"], again["differences"], again["n_sets"], again["n_records"]) == (True, [], 24, 72)
-    assert [one["set_index"] for one in again["raised"]] == [23]
+    again = explanation["recomputed"]
+    assert (explanation["agrees"], again["differences"], again["n_sets"], again["n_records"]) == (
+        True,
+        [],
+        24,
+        72,
+    )
+    assert [item["set_index"] for item in again["raised"]] == [23]
     # Set 23 is 9 sets into the drift of 0.8 us a set, and rests a little differently, by up to 0.8 us.
     pulses = again["pulses"]
     late = [at for at, time_s in enumerate(pulses["time_s"]) if 200e-6 < time_s < 500e-6]
     peaks = [max(late, key=pulses[name].__getitem__) for name in ("baseline_v", "set_v")]
     assert 5 <= peaks[1] - peaks[0] <= 10, "in steps of 1 us"
-    page, facts = (Path(file).read_text(encoding="utf-8") for file in told["files"])
-    assert json.loads(facts) == told
+    page, facts = (Path(file).read_text(encoding="utf-8") for file in explanation["files"])
+    assert json.loads(facts) == explanation
     assert page.count("<svg ") == 3
-    assert "from B-baseline-1, " in told["sentences"][0]
+    assert "from B-baseline-1, " in explanation["sentences"][0]
     assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
     for words in ("Set 23 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
         assert words in page
 
 
-def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(line, tmp_path):
+def test_a_hole_has_its_silent_shots_and_files_are_not_overwritten(line, tmp_path):
     hole = alarm_id_of(line, "hole", "C")
-    told = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
-    silent = {row["set_index"]: row["n"] for row in told["recomputed"]["shots_without_psw"]}
-    assert told["agrees"]
+    explanation = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
+    silent = {row["set_index"]: row["n"] for row in explanation["recomputed"]["shots_without_psw"]}
+    assert explanation["agrees"]
     assert (silent[20], silent[21], silent[22]) == (0, 3, 3)
     assert explain(line.folder, hole, tmp_path).returncode == 2
     inside = explain(line.folder, hole, line.folder / "explained")
     assert (inside.returncode, (line.folder / "explained").exists()) == (2, False)
 
 
-def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
+def test_a_different_stored_value_is_reported_with_both_values(changed_line, line, tmp_path):
     folder = changed_line(AssessmentRow, 20, distance_squared=1.0)
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
-    told = json.loads(done.stdout)
-    (difference,) = told["recomputed"]["differences"]
-    assert (done.returncode, told["agrees"]) == (0, False)
+    explanation = json.loads(done.stdout)
+    (difference,) = explanation["recomputed"]["differences"]
+    assert (done.returncode, explanation["agrees"]) == (0, False)
     assert (difference["table"], difference["column"], difference["first_set_index"]) == (
         *("assessment", "distance_squared"),
         20,
     )
     assert difference["stored"] == 1.0
     assert difference["again"] > 1.0
-    assert "what is stored differs in the 1 points" in told["told"]
+    assert "what is stored differs in the 1 points" in explanation["told"]
 
 
 @pytest.mark.parametrize(
@@ -278,19 +285,17 @@ def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, 
     ],
     ids=["signed", "retired"],
 )
-def test_what_people_did_to_a_baseline_after_the_alarm_is_no_doubt_about_it(after, line, tmp_path):
+def test_later_baseline_commands_do_not_affect_the_explanation(after, line, tmp_path):
     folder = tmp_path / "later"
     shutil.copytree(line.folder, folder)
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
         catalogue.restore([after(row) for row in catalogue.rows(BaselineRow, position="B")])
     done = explain(folder, alarm_id_of(line, "transducer_change", "B"), tmp_path / "out", "--json")
-    told = json.loads(done.stdout)
-    assert (told["agrees"], told["recomputed"]["differences"]) == (True, [])
+    explanation = json.loads(done.stdout)
+    assert (explanation["agrees"], explanation["recomputed"]["differences"]) == (True, [])
 
 
-def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_told(
-    changed_line, line, tmp_path
-):
+def test_an_unknown_alarm_a_foreign_extractor_and_a_corrupt_set_are_reported(changed_line, line, tmp_path):
     change = alarm_id_of(line, "transducer_change", "B")
     unknown = explain(line.folder, 77, tmp_path / "out")
     assert unknown.returncode == 2
@@ -315,7 +320,7 @@ def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_to
 
 
 @pytest.mark.parametrize(("position", "code"), [("C", 0), ("B", 4)])
-def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line, tmp_path):
+def test_a_corrupt_shot_of_another_position_does_not_matter(position, code, line, tmp_path):
     folder = tmp_path / "damaged"
     shutil.copytree(line.folder, folder)
     path = next(folder.glob("sets/*000004*"))
@@ -329,19 +334,21 @@ def test_a_damaged_shot_of_another_position_is_no_evidence(position, code, line,
         assert json.loads(done.stdout)["agrees"] is True
 
 
-def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
-    told = json.loads(explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout)
-    assert (told["agrees"], told["recomputed"]) == (None, None)
-    assert "a person's order" in told["why_not_recomputed"]
-    assert "a loose cable" in told["alarm"]["message"]
-    assert "alarm_reset" in [one["kind"] for one in told["history"]]
-    assert "This alarm is not recomputed" in (tmp_path / f"alarm-{told['alarm']['id']}.html").read_text(
-        encoding="utf-8"
+def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
+    explanation = json.loads(
+        explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout
     )
+    assert (explanation["agrees"], explanation["recomputed"]) == (None, None)
+    assert "a person's order" in explanation["why_not_recomputed"]
+    assert "a loose cable" in explanation["alarm"]["message"]
+    assert "alarm_reset" in [item["kind"] for item in explanation["history"]]
+    assert "This alarm is not recomputed" in (
+        tmp_path / f"alarm-{explanation['alarm']['id']}.html"
+    ).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ("replay", "{}"),
         ("explain", "1", "--data-dir", "{}"),
@@ -349,16 +356,16 @@ def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
         ("export", "--data-dir", "{}", "--hdf5", "{}.h5"),
     ],
 )
-def test_a_lost_catalogue_is_told_with_the_word_that_makes_it_again(line, tmp_path, words):
+def test_a_lost_catalogue_is_reported_with_the_rebuild_command(line, tmp_path, arguments):
     folder = tmp_path / "lost"
     shutil.copytree(line.folder, folder, ignore=shutil.ignore_patterns("catalogue.sqlite*"))
-    done = solimon_here(*(word.format(folder) for word in words), env={})
+    done = solimon_here(*(word.format(folder) for word in arguments), env={})
     assert done.returncode == 4
     assert f"the catalogue of {folder} is lost" in done.stderr
     assert f"solimon rebuild --data-dir {folder}" in done.stderr
 
 
-def test_a_damaged_set_is_told_with_the_word_that_brings_it_back(line, tmp_path):
+def test_a_corrupt_set_is_reported_with_the_repair_command(line, tmp_path):
     folder = tmp_path / "damaged"
     shutil.copytree(line.folder, folder)
     path = next(folder.glob("sets/*000004*"))

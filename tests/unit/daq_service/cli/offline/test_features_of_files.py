@@ -1,4 +1,4 @@
-"""``solimon features``: records of other people in, JSON or a table out."""
+"""``solimon features``: foreign records as input, JSON or a table as output."""
 
 import json
 
@@ -27,7 +27,7 @@ def run(*arguments):
     return CliRunner().invoke(cli, ["features", *map(str, arguments)], catch_exceptions=False)
 
 
-def told(*arguments):
+def extracted_records(*arguments):
     answer = run(*arguments, "--json")
     assert answer.exit_code == 0, answer.output
     found = json.loads(answer.stdout)
@@ -35,7 +35,7 @@ def told(*arguments):
     return found["records"]
 
 
-def saved(folder, values, name="records.npy"):
+def save_array(folder, values, name="records.npy"):
     np.save(folder / name, values)
     return folder / name
 
@@ -44,15 +44,15 @@ def volts(scene=SCENE, n=N):
     return np.array([scene.volts(seed) for seed in range(n)])
 
 
-def refused(*arguments):
+def rejection_message(*arguments):
     with pytest.raises(UsageError) as caught:
         run(*arguments)
     return str(caught.value)
 
 
-def test_counts_give_what_the_recorder_would_have_found(tmp_path, counts):
-    path = saved(tmp_path, counts)
-    rows = told(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
+def test_counts_give_the_features_of_the_recorder(tmp_path, counts):
+    path = save_array(tmp_path, counts)
+    rows = extracted_records(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
     assert [(row["file"], row["index"]) for row in rows] == [(str(path), k) for k in range(N)]
     for seed, row in enumerate(rows):
         expected = extract_features(SCENE.waveform(seed))
@@ -63,14 +63,14 @@ def test_counts_give_what_the_recorder_would_have_found(tmp_path, counts):
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " "])
 @pytest.mark.parametrize("header", [True, False])
-def test_a_table_of_text_gives_the_same_as_the_array(tmp_path, separator, header):
+def test_a_text_table_gives_the_same_features_as_the_array(tmp_path, separator, header):
     values = np.round(volts(n=4), 6)
     lines = [separator.join(f"{value:.6f}" for value in row) for row in values]
     if header:
         lines.insert(0, separator.join(f"s{k}" for k in range(values.shape[1])))
     (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
-    rows = told(tmp_path / "records.csv")
-    expected = told(saved(tmp_path, values))
+    rows = extracted_records(tmp_path / "records.csv")
+    expected = extracted_records(save_array(tmp_path, values))
     assert [row | {"file": ""} for row in rows] == [row | {"file": ""} for row in expected]
 
 
@@ -88,7 +88,7 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
         noise_fraction=0.02,
         offset_v=-0.7,
     )
-    path = saved(tmp_path, volts(scene))
+    path = save_array(tmp_path, volts(scene))
     answer = run(path, "--rate-hz", rate_hz, "--pretrigger-s", 150e-6, "--json")
     rows = json.loads(answer.stdout)["records"]
     assert [row["flags"] for row in rows] == [[]] * N
@@ -97,76 +97,80 @@ def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_
     assert f"ISW {1e6 * fwhm_s:.0f}" in answer.stderr.replace(".", " ") or "ISW" in answer.stderr
 
 
-def test_what_is_told_of_the_transducer_is_what_shots_are_compared_with(tmp_path):
-    path = saved(tmp_path, volts())
-    assert {tuple(row["flags"]) for row in told(path)} == {()}
-    assert {tuple(row["flags"]) for row in told(path, "--isw-amplitude-v", 30.0)} == {("missed",)}
-    assert {tuple(row["flags"]) for row in told(path, "--psw-window-s", "4e-4,9e-4")} == {
+def test_shots_are_compared_with_the_given_transducer_properties(tmp_path):
+    path = save_array(tmp_path, volts())
+    assert {tuple(row["flags"]) for row in extracted_records(path)} == {()}
+    assert {tuple(row["flags"]) for row in extracted_records(path, "--isw-amplitude-v", 30.0)} == {
+        ("missed",)
+    }
+    assert {tuple(row["flags"]) for row in extracted_records(path, "--psw-window-s", "4e-4,9e-4")} == {
         ("double", "no_psw")
     }
 
 
-def test_rails_say_what_is_clipped(tmp_path, counts):
-    path = saved(tmp_path, counts)
+def test_rail_counts_determine_clipping(tmp_path, counts):
+    path = save_array(tmp_path, counts)
     scale = ("--volts-per-count", VOLTS_PER_COUNT)
-    assert not any("clipped" in row["flags"] for row in told(path, *scale))
-    rows = told(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
+    assert not any("clipped" in row["flags"] for row in extracted_records(path, *scale))
+    rows = extracted_records(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
     assert all("clipped" in row["flags"] for row in rows)
 
 
 def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     values = volts()
     values[5] *= 0.2
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [5]
     assert rows[5]["flags"] == ["missed"]
     assert rows[5]["isw_amplitude_v"] == pytest.approx(1.0, rel=0.01)
     assert rows[5]["tof_mf_s"] is None
 
 
-def test_one_record_is_compared_with_an_amplitude_told_alone(tmp_path):
-    path = saved(tmp_path, 0.15 * volts(n=1))
-    assert told(path)[0]["flags"] == []
-    assert told(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
+def test_a_single_record_is_compared_only_with_a_given_amplitude(tmp_path):
+    path = save_array(tmp_path, 0.15 * volts(n=1))
+    assert extracted_records(path)[0]["flags"] == []
+    assert extracted_records(path, "--isw-amplitude-v", 5.0)[0]["flags"] == ["missed"]
 
 
-def test_waves_that_go_down_are_told_with_what_turns_them(tmp_path):
-    answer = CliRunner().invoke(cli, ["features", str(saved(tmp_path, -volts(n=3))), "--json"])
+def test_inverted_waves_are_reported_with_their_remedy(tmp_path):
+    answer = CliRunner().invoke(cli, ["features", str(save_array(tmp_path, -volts(n=3))), "--json"])
     assert [row["flags"] for row in json.loads(answer.stdout)["records"]] == [["inverted"]] * 3
     assert answer.stderr.count("3 of 3 records are inverted") == 1
     assert "reverse the sign of the values" in answer.stderr
 
 
 @pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200])
-def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
+def test_missing_samples_cost_only_their_record(tmp_path, value):
     values = volts()
     values[3, 700:1200] = value
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
 
 
-def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_only(tmp_path):
+def test_invalid_cells_and_short_rows_cost_only_their_record(tmp_path):
     lines = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in volts()]
     lines[2] = lines[2].replace(";0,", ";broken;0,", 1)
     lines[7] = lines[7][:3000]
     (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
-    rows = told(tmp_path / "records.csv")
+    rows = extracted_records(tmp_path / "records.csv")
     assert [row["flags"] for row in rows] == [["disturbed"] if k in (2, 7) else [] for k in range(N)]
     assert rows[7]["tof_mf_s"] is None
 
 
-def test_a_row_of_missing_values_is_a_record_and_one_of_words_is_none(tmp_path):
+def test_a_row_of_missing_values_is_a_record_and_a_row_of_words_is_not(tmp_path):
     values = volts(n=3)
     values[1] = np.nan
     np.savetxt(tmp_path / "records.csv", values, delimiter=",", fmt="%.6f", header="10 MHz, 1\nRig, 3")
-    assert [row["flags"] for row in told(tmp_path / "records.csv")] == [[], ["disturbed"], []]
+    assert [row["flags"] for row in extracted_records(tmp_path / "records.csv")] == [[], ["disturbed"], []]
     (tmp_path / "words.csv").write_text("a,b\nno,numbers", encoding="utf-8")
-    assert "record 0: 'no,numbers'; a row is a record" in refused(tmp_path / "words.csv")
+    assert "record 0: 'no,numbers'; a row is a record" in rejection_message(tmp_path / "words.csv")
 
 
-def test_a_table_of_samples_in_rows_is_told_to_have_records_in_rows(tmp_path):
-    assert "a row of a table is a record, not a sample" in refused(saved(tmp_path, volts(n=2).T))
+def test_a_table_with_samples_in_rows_is_rejected(tmp_path):
+    assert "a row of a table is a record, not a sample" in rejection_message(
+        save_array(tmp_path, volts(n=2).T)
+    )
 
 
 @pytest.mark.parametrize("option", ["--rate-hz", "--pretrigger-s", "--volts-per-count", "--isw-fwhm-s"])
@@ -176,40 +180,40 @@ def test_numbers_that_are_not_finite_are_refused(option):
     assert f"Invalid value for '{option}': nan is no finite number" in answer.stderr
 
 
-def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
+def test_an_unreadable_file_does_not_affect_other_results(tmp_path):
     bad = tmp_path / "bad.npy"
     bad.write_bytes(b"hello")
-    good = saved(tmp_path, volts(n=2))
+    good = save_array(tmp_path, volts(n=2))
     answer = CliRunner().invoke(cli, ["features", str(bad), str(good), str(tmp_path / "no.npy"), "--json"])
     found = json.loads(answer.stdout)
     assert [row["file"] for row in found["records"]] == [str(good)] * 2
-    assert [one["file"] for one in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
+    assert [item["file"] for item in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
     assert found["refused"][0]["reason"].endswith("no .npy file of numbers, records x samples")
     assert isinstance(answer.exception, UsageError)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_records_of_noise_alone_teach_no_width_and_are_missed_strikes(tmp_path, seed):
+def test_records_of_noise_are_missed_strikes_and_set_no_width(tmp_path, seed):
     noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
-    rows = told(saved(tmp_path, noise))
+    rows = extracted_records(save_array(tmp_path, noise))
     assert [row["flags"] for row in rows] == [["missed"]] * N
-    noise[:, 5000] += 0.5  # a spike is no wave either
-    assert all(row["quality"] == "bad" for row in told(saved(tmp_path, noise)))
+    noise[:, 5000] += 0.5  # a spike is not a wave
+    assert all(row["quality"] == "bad" for row in extracted_records(save_array(tmp_path, noise)))
 
 
-def test_one_record_alone_is_a_file_too(tmp_path):
-    (row,) = told(saved(tmp_path, SCENE.volts(0)))
+def test_a_file_may_have_one_record(tmp_path):
+    (row,) = extracted_records(save_array(tmp_path, SCENE.volts(0)))
     assert row["quality"] == "good"
 
 
-def test_a_table_for_the_eye_has_a_line_a_record(tmp_path):
-    answer = run(saved(tmp_path, volts()))
+def test_the_text_table_has_a_line_per_record(tmp_path):
+    answer = run(save_array(tmp_path, volts()))
     assert answer.stdout.count("│ good") == N
     assert "330.0" in answer.stdout
 
 
 @pytest.mark.parametrize(
-    ("values", "options", "words"),
+    ("values", "options", "message"),
     [
         (np.zeros((2, 3, 4)), (), "records x samples"),
         (np.array([["a", "b"]]), (), "must be numbers"),
@@ -223,12 +227,12 @@ def test_a_table_for_the_eye_has_a_line_a_record(tmp_path):
         (np.zeros((3, 13_000)), ("--pretrigger-s", "1"), "record 0: pretrigger_samples"),
     ],
 )
-def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options, words):
-    assert words in refused(saved(tmp_path, values), *options)
+def test_an_invalid_record_is_rejected_with_a_remedy(tmp_path, values, options, message):
+    assert message in rejection_message(save_array(tmp_path, values), *options)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "words"),
+    ("name", "content", "message"),
     [
         ("records.txt", b"1,2,3", "not .txt"),
         ("records.npy", b"hello", "no .npy file"),
@@ -241,9 +245,9 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
         ("records.tdms", b"hello", "records.tdms"),
     ],
 )
-def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, content, words):
+def test_a_file_of_another_kind_is_rejected_with_its_name(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
-    assert words in refused(tmp_path / name)
+    assert message in rejection_message(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -265,7 +269,7 @@ def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, 
     lines = [",".join(f"{v:.4f}" for v in record) for record in volts(n=3)]
     for name, content, code in (("a.csv", lines, "utf-8"), ("b.csv", changed(lines), encoding)):
         (tmp_path / name).write_text("\n".join(content), encoding=code)
-    expected, found = told(tmp_path / "a.csv"), told(tmp_path / "b.csv")
+    expected, found = extracted_records(tmp_path / "a.csv"), extracted_records(tmp_path / "b.csv")
     assert [{**row, "file": ""} for row in found] == [{**row, "file": ""} for row in expected]
     assert [row["flags"] for row in found] == [[]] * 3
 
@@ -274,18 +278,20 @@ def test_records_as_other_programs_write_them_are_read_alike(tmp_path, changed, 
 def test_an_overload_costs_its_record_only(tmp_path, overload):
     values = volts(n=4)
     values[1, 1_500:1_600] = overload
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["flags"] for row in rows] == [[], ["disturbed"], [], []]
     assert rows[1]["isw_amplitude_v"] is None
 
 
-def test_an_hdf5_file_of_another_program_is_refused_with_what_to_do(tmp_path):
+def test_an_hdf5_file_of_another_program_is_rejected_with_a_remedy(tmp_path):
     with h5py.File(tmp_path / "matlab.h5", "w", userblock_size=512) as file:
         file.create_dataset("waves", data=volts(n=1)).attrs["MATLAB_class"] = np.bytes_("double")
-    assert "records of other programs (MATLAB, pandas): save them as .npy" in refused(tmp_path / "matlab.h5")
+    assert "records of other programs (MATLAB, pandas): save them as .npy" in rejection_message(
+        tmp_path / "matlab.h5"
+    )
 
 
-def written_tdms(path, properties):
+def write_tdms(path, properties):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(path) as writer:
         for k, record in enumerate(volts(n=3)):
@@ -293,15 +299,17 @@ def written_tdms(path, properties):
     return path
 
 
-def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
+def test_scaled_labview_values_are_volts_unless_another_unit_is_given(tmp_path):
     wave = {"wf_increment": 1.0 / SCENE.rate_hz}
     options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
-    rows = told(written_tdms(tmp_path / "a.tdms", wave), *options)
+    rows = extracted_records(write_tdms(tmp_path / "a.tdms", wave), *options)
     assert [row["tof_mf_s"] for row in rows] == [
-        row["tof_mf_s"] for row in told(saved(tmp_path, volts(n=3)), *options)
+        row["tof_mf_s"] for row in extracted_records(save_array(tmp_path, volts(n=3)), *options)
     ]
-    assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
-    assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
+    assert "'mbar'" in rejection_message(
+        write_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options
+    )
+    assert "--rate-hz" in rejection_message(write_tdms(tmp_path / "c.tdms", {}), *options)
 
 
 def short_volts(n, samples=800):
@@ -312,7 +320,7 @@ WAVE = {"wf_increment": 1e-6, "wf_start_offset": -1e-4, "unit_string": "V"}
 
 
 def test_appended_records_of_labview_are_split(tmp_path):
-    """4,000 samples of which `wf_samples` is 800 are five records; beside them other channels and groups."""
+    """4,000 samples with `wf_samples` = 800 are five records, next to other channels and groups."""
     records, longer = short_volts(5), short_volts(3, 1_000)
     counts = np.round(records / 1e-3).astype(np.int16)
     scaled = {**WAVE, "wf_samples": 800, **polynomial([0.0, 1e-3])}
@@ -329,16 +337,16 @@ def test_appended_records_of_labview_are_split(tmp_path):
         ],
     )
     (tmp_path / "appended.tdms_index").write_bytes(b"of another file")
-    rows = told(path)
+    rows = extracted_records(path)
     assert [row["flags"] for row in rows] == [[]] * 14
-    of_each = [row["tof_mf_s"] for row in told(saved(tmp_path, records), "--rate-hz", 1e6)]
+    of_each = [row["tof_mf_s"] for row in extracted_records(save_array(tmp_path, records), "--rate-hz", 1e6)]
     assert [row["tof_mf_s"] for row in rows[:5]] == of_each
     assert rows[5]["tof_mf_s"] == rows[8]["tof_mf_s"]
     assert [row["tof_mf_s"] for row in rows[9:]] == pytest.approx(of_each, abs=1e-7)  # of the codes' rounding
 
 
 @pytest.mark.parametrize(
-    ("samples", "properties", "words"),
+    ("samples", "properties", "message"),
     [
         (3_900, {"wf_samples": 800}, "3900 samples are not a whole number of records of 800"),
         (4_000, {"wf_samples": 800, "wf_increment": 0.0}, "wf_increment is 0.0 s"),
@@ -347,21 +355,21 @@ def test_appended_records_of_labview_are_split(tmp_path):
         (4_000, {"wf_samples": 50}, "the trigger at sample 100 is outside the record of 50 samples"),
     ],
 )
-def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, words):
+def test_appended_records_that_fit_no_channel_are_refused_with_it(tmp_path, samples, properties, message):
     values = short_volts(5).ravel()[:samples]
     path = write(tmp_path / "a.tdms", [("B", "shots", values, {**WAVE, **properties})])
-    assert f"group 'B', channel 'shots': {words}" in refused(path)
+    assert f"group 'B', channel 'shots': {message}" in rejection_message(path)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     for name in ("no.npy", "no.csv", "no.h5", "no.tdms"):
-        assert name in refused(tmp_path / name)
+        assert name in rejection_message(tmp_path / name)
 
 
 def test_a_second_pulse_in_the_file_is_seen_with_its_reflection(tmp_path):
     values = volts()
     t, later = SCENE.time_s(), SCENE.isw_time_s + 320e-6
     values[4] += 0.3 * SCENE.isw_v * (cos4(t, later) + SCENE.amplitude_ratio * cos4(t, later + SCENE.tof_s))
-    rows = told(saved(tmp_path, values))
+    rows = extracted_records(save_array(tmp_path, values))
     assert [row["index"] for row in rows if row["flags"]] == [4]
     assert "double" in rows[4]["flags"]

@@ -1,4 +1,4 @@
-"""Rows of a sweep: every combination once, checked by the bounds of the configuration itself."""
+"""Rows of a sweep: every combination once, checked by the bounds of the configuration."""
 
 from dataclasses import fields, replace
 
@@ -60,7 +60,7 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
 
 
 @pytest.mark.parametrize(
-    ("specifications", "words"),
+    ("specifications", "message"),
     [
         (["chain.drop_hight_m=1"], r"did you mean chain\.drop_height_m\? All keys: chain\.radius_m, "),
         (["thickness_m=1"], r"did you mean plate\.thickness_m"),
@@ -74,8 +74,8 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
         (["chain.mass_kg=0.02:0.03:500", "chain.radius_m=0.009:0.01:401"], "200500 rows; a sweep has at"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_runs(specifications: list[str], words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_an_impossible_sweep_is_rejected_before_the_start(specifications: list[str], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         planned(*specifications)
 
 
@@ -84,7 +84,7 @@ def test_waveforms_have_a_smaller_limit() -> None:
         planned("chain.drop_height_m=0.003:0.008:10001", waveforms=True)
 
 
-def test_refused_combinations_may_stay_as_rows_with_their_reason() -> None:
+def test_rejected_combinations_can_be_rows_with_their_reason() -> None:
     plan = planned("chain.drop_height_m=0.005,2", "plate.thickness_m=-1,0.01", skip_invalid=True)
     assert [row.specimen is None for row in plan.rows] == [True, False, True, True]
     both = plan.rows[2].reason
@@ -93,7 +93,7 @@ def test_refused_combinations_may_stay_as_rows_with_their_reason() -> None:
     assert plan.rows[2].values == (2, -1)
 
 
-def test_the_identity_knows_parameters_keys_model_and_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch: pytest.MonkeyPatch) -> None:
     axes = [Axis(key="chain.drop_height_m", values=(3e-3, 4e-3))]
     plan = make_plan("coupled", BASE, axes)
     chain, plate, corrosion = BASE
@@ -113,7 +113,7 @@ def test_the_identity_knows_parameters_keys_model_and_code(monkeypatch: pytest.M
     assert changed.rows[0].key != plan.rows[0].key
 
 
-def test_zeners_model_takes_the_keys_that_count_there_and_no_others() -> None:
+def test_the_zener_model_accepts_only_its_keys() -> None:
     def numbers(key: str, value: object) -> dict[str, float]:
         (row,) = make_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
         assert row.specimen is not None
@@ -134,7 +134,7 @@ def test_zeners_model_takes_the_keys_that_count_there_and_no_others() -> None:
 def test_tables_below_a_section_are_swept_by_key_or_whole() -> None:
     by_key = planned("plate.liquid.density_kg_per_m3=1000,1025", "plate.liquid.depth_m=0.05")
     liquids = [row.specimen[1].liquid for row in by_key.rows if row.specimen is not None]
-    assert [(one.density_kg_per_m3, one.depth_m) for one in liquids if one] == [
+    assert [(item.density_kg_per_m3, item.depth_m) for item in liquids if item] == [
         (1000.0, 0.05),
         (1025.0, 0.05),
     ]

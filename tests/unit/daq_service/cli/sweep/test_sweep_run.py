@@ -1,4 +1,4 @@
-"""A sweep from plan to files: the same table however it was computed, interrupted or stored."""
+"""A sweep from plan to files: the table does not depend on executor, interruption or storage."""
 
 import csv
 import errno
@@ -51,12 +51,12 @@ def planned(*specifications: str, base: Any = BASE, **options: bool) -> Plan:
     return make_plan("coupled", base, [parse_axis(text) for text in specifications], **options)
 
 
-def swept(plan: Plan, stop: threading.Event | None = None, **options: Any) -> SweepTable:
+def sweep_table(plan: Plan, stop: threading.Event | None = None, **options: Any) -> SweepTable:
     return run_sweep(plan, SweepOptions(**{"executor": "threads", **options}), {}, stop or threading.Event())
 
 
 class InlineExecutor(Executor):
-    """Computes at once, in this thread; remembers what, and may do something after each task."""
+    """Executor double that computes in this thread, records the tasks, and calls a hook after each."""
 
     def __init__(self, after_task: Callable[[], None]) -> None:
         self.indices: list[int] = []
@@ -84,20 +84,20 @@ def recording(
     return executor
 
 
-def interrupted(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -> list[int]:
-    """Stop a sweep after its first tasks; indices of the rows that were computed."""
+def interrupt_sweep(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -> list[int]:
+    """Stop a sweep after its first tasks; return the indices of the computed rows."""
     stop = threading.Event()
     executor = recording(monkeypatch, stop.set)
     with pytest.raises(KeyboardInterrupt):
-        swept(plan, stop, outputs=(output,))
+        sweep_table(plan, stop, outputs=(output,))
     assert 0 < len(executor.indices) < len(plan.rows)
     return executor.indices
 
 
 def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
-    # So high a drop has a step of its own: what is prepared for one height may not serve another.
+    # So high a drop has its own time step: preparations for one height may not fit another.
     plan = planned(*MIXED[:2], "chain.drop_height_m=5e-3,1", "chain.tilt_rad=0,0.02")
-    table = swept(plan, workers=2)
+    table = sweep_table(plan, workers=2)
     assert len(set(table.results["step_s"])) > 1
     for row, found in zip(plan.rows, table.rows(), strict=True):
         assert row.specimen is not None
@@ -115,23 +115,24 @@ def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
 )
 def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers: int) -> None:
     plan = planned(*MIXED)
-    alone = swept(plan, workers=1)
+    alone = sweep_table(plan, workers=1)
     assert (
-        alone.facts["content_hash"] == swept(plan, executor=executor, workers=workers).facts["content_hash"]
+        alone.facts["content_hash"]
+        == sweep_table(plan, executor=executor, workers=workers).facts["content_hash"]
     )
     one_bit = np.nextafter(0.003, 1.0)
     other = planned(*MIXED[:2], f"chain.drop_height_m={one_bit!s},5e-3")
-    assert swept(other).facts["content_hash"] != alone.facts["content_hash"]
+    assert sweep_table(other).facts["content_hash"] != alone.facts["content_hash"]
 
 
-def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_ignores_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
     class Parent:
         def join(self) -> None:
-            told.append("the parent has ended")
+            calls.append("the parent has ended")
 
-    told: list[object] = []
+    calls: list[object] = []
     monkeypatch.setattr("multiprocessing.parent_process", Parent)
-    monkeypatch.setattr(os, "_exit", told.append)
+    monkeypatch.setattr(os, "_exit", calls.append)
     monkeypatch.setattr(executors, "one_blas_thread", nullcontext)
     before, threads = signal.getsignal(signal.SIGINT), set(threading.enumerate())
     try:
@@ -141,31 +142,31 @@ def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest
         signal.signal(signal.SIGINT, before)
         for watcher in set(threading.enumerate()) - threads:
             ended(watcher, "the end of the worker's watch over its parent")
-    assert told == ["the parent has ended", 1]
+    assert calls == ["the parent has ended", 1]
 
 
-def test_an_interrupted_sweep_goes_on_without_computing_a_row_again(
+def test_an_interrupted_sweep_continues_without_repeated_rows(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = planned(*HEIGHTS, base=ANALYTIC, waveforms=True)
     whole, output = tmp_path / "whole.h5", tmp_path / "stopped.h5"
-    swept(plan, outputs=(whole,))
-    done = interrupted(monkeypatch, plan, output)
+    sweep_table(plan, outputs=(whole,))
+    done = interrupt_sweep(monkeypatch, plan, output)
     assert f"{len(done)} of 40 rows are kept in {work_path(output)}; the same command goes on" in (
         capsys.readouterr().err
     )
     assert not output.exists()
     again = recording(monkeypatch)
-    swept(plan, outputs=(output,))
+    sweep_table(plan, outputs=(output,))
     assert sorted([*done, *again.indices]) == list(range(40))
     assert output.read_bytes() == whole.read_bytes(), "waveforms, too"
     assert not work_path(output).exists()
 
 
-def test_a_torn_or_damaged_line_is_computed_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
-    done = interrupted(monkeypatch, plan, output)
+    done = interrupt_sweep(monkeypatch, plan, output)
     work = work_path(output)
     header, first, second, *others = work.read_bytes().splitlines(keepends=True)
     changed = first.replace(b'"status":"ok"', b'"status":"OK"')
@@ -180,9 +181,9 @@ def test_a_torn_or_damaged_line_is_computed_again(monkeypatch: pytest.MonkeyPatc
         opened.keep(compute_rows("coupled", [(row.index, row.specimen)]))
     kept.add(min(lost))
     again = recording(monkeypatch)
-    table = swept(plan, outputs=(output,))
+    table = sweep_table(plan, outputs=(output,))
     assert sorted(again.indices) == sorted({*range(40)} - kept), "nothing was appended to the torn line"
-    assert table.facts["content_hash"] == swept(plan).facts["content_hash"]
+    assert table.facts["content_hash"] == sweep_table(plan).facts["content_hash"]
 
 
 def test_a_work_file_of_another_sweep_or_in_use_is_refused(
@@ -190,14 +191,14 @@ def test_a_work_file_of_another_sweep_or_in_use_is_refused(
 ) -> None:
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
-    interrupted(monkeypatch, plan, output)
+    interrupt_sweep(monkeypatch, plan, output)
     before = work_path(output).read_bytes()
     other = planned("chain.drop_height_m=0.003:0.008:41", base=ANALYTIC)
     with pytest.raises(StorageError, match=r"another sweep.*remove the file"):
-        swept(other, outputs=(output,))
+        sweep_table(other, outputs=(output,))
     assert work_path(output).read_bytes() == before
     with open_work_file(work_path(output), plan), pytest.raises(BusyError, match="is running"):
-        swept(plan, outputs=(output,))
+        sweep_table(plan, outputs=(output,))
 
 
 def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
@@ -210,7 +211,7 @@ def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
         skip_invalid=True,
         waveforms=True,
     )
-    table = swept(plan, outputs=tuple(paths), skip_invalid=True)
+    table = sweep_table(plan, outputs=tuple(paths), skip_invalid=True)
     assert [status.partition(":")[0] for status in table.status] == [OK, "invalid"] * 4
 
     raw = paths[0].read_bytes()
@@ -258,17 +259,17 @@ def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
 
 
 def test_the_content_hash_can_be_made_again_from_the_table() -> None:
-    table = swept(planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC))
+    table = sweep_table(planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC))
     names = list(table.columns)
     lines = [names, *([row[name] for name in names] for row in table.rows())]
     text = "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in lines)
     assert hashlib.sha256(text.encode()).hexdigest() == table.facts["content_hash"]
 
 
-def test_a_row_without_numbers_says_why_and_stops_no_other() -> None:
+def test_a_row_without_numbers_has_a_reason_and_stops_no_other() -> None:
     # The impact of so slow a striker is lost in the rounding of the chain's static energy.
     plan = planned("chain.drop_height_m=5e-3,1e-12", base=ANALYTIC)
-    table = swept(plan)
+    table = sweep_table(plan)
     good, lost = table.rows()
     assert good["status"] == OK
     assert "energy balance is off" in lost["status"]
@@ -279,24 +280,24 @@ def test_a_row_without_numbers_says_why_and_stops_no_other() -> None:
 def test_contradicting_parameters_end_the_sweep_or_become_a_row() -> None:
     plan = planned("corrosion.size_m=0.0254,0.7")
     with pytest.raises(UsageError, match=r"row 2 \(corrosion\.size_m = 0\.7\) is refused: .*--skip-invalid"):
-        swept(plan)
-    good, refused = swept(plan, skip_invalid=True).rows()
+        sweep_table(plan)
+    good, refused = sweep_table(plan, skip_invalid=True).rows()
     assert good["status"] == OK
     assert refused["status"].startswith("invalid: ")
     assert refused["tof_us"] is None
 
 
-def test_results_are_not_replaced_unasked(tmp_path: Path) -> None:
+def test_results_are_not_overwritten_by_default(tmp_path: Path) -> None:
     plan = planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC)
     output = tmp_path / "table.csv"
-    swept(plan, outputs=(output,))
+    sweep_table(plan, outputs=(output,))
     before = output.read_bytes()
     with pytest.raises(UsageError, match=r"table\.csv\S* exists; .*--overwrite"):
-        swept(plan, outputs=(output,))
+        sweep_table(plan, outputs=(output,))
     output.unlink()
     with pytest.raises(UsageError, match=r"table\.csv\.json exists"):
-        swept(plan, outputs=(output,))
-    swept(plan, outputs=(output,), overwrite=True)
+        sweep_table(plan, outputs=(output,))
+    sweep_table(plan, outputs=(output,), overwrite=True)
     assert output.read_bytes() == before
 
 
@@ -312,19 +313,19 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
     with monkeypatch.context() as patched:
         patched.setattr(os, "write", full)
         with pytest.raises(StorageError, match="finished rows are kept") as caught:
-            swept(plan, outputs=outputs)
+            sweep_table(plan, outputs=outputs)
     assert caught.value.exit_code == 4
     assert [path.name for path in tmp_path.iterdir()] == ["table.csv.work"]
     # As if it had ended between the outputs: those of this very sweep are written again.
     (tmp_path / "table.csv").write_text("half", encoding="utf-8")
     again = recording(monkeypatch)
-    swept(plan, outputs=outputs)
+    sweep_table(plan, outputs=outputs)
     assert again.indices == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["table.csv", "table.csv.json", "table.h5"]
 
 
 @pytest.mark.parametrize(
-    ("names", "waveforms", "error", "words"),
+    ("names", "waveforms", "error", "message"),
     [
         (["t.xlsx"], False, UsageError, r"\.csv, \.h5, \.hdf5, \.parquet"),
         (["t.csv", "t.csv"], False, UsageError, "twice"),
@@ -333,13 +334,13 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
         (["folder.csv"], False, StorageError, "is a folder"),
     ],
 )
-def test_outputs_that_cannot_be_are_refused_first(
-    names: list[str], waveforms: bool, error: type[Exception], words: str, tmp_path: Path
+def test_impossible_outputs_are_rejected_first(
+    names: list[str], waveforms: bool, error: type[Exception], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "folder.csv").mkdir()
     plan = planned("chain.drop_height_m=0.004", base=ANALYTIC, waveforms=waveforms)
-    with pytest.raises(error, match=words):
-        swept(plan, outputs=tuple(tmp_path / name for name in names))
+    with pytest.raises(error, match=message):
+        sweep_table(plan, outputs=tuple(tmp_path / name for name in names))
 
 
 def test_parquet_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -351,7 +352,7 @@ def test_parquet_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyP
 def test_a_chain_too_far_from_its_reflection_is_a_row_of_its_own_kind() -> None:
     # Nearly all of the wave goes into a thin large plate: lambda is about 50.
     plan = planned("plate.thickness_m=4e-4", "chain.contact_damping_n_s_per_m=0", base=ANALYTIC)
-    (row,) = swept(plan).rows()
+    (row,) = sweep_table(plan).rows()
     assert row["status"] in (OK, NO_REFLECTION)
     assert (row["tof_us"] is None) == (row["status"] == NO_REFLECTION)
     assert math.isfinite(row["isw_peak_n"])

@@ -1,4 +1,4 @@
-"""Words of a sweep: every text is either a list of values or a refusal that says what to write."""
+"""Sweep specifications: every text is a list of values or is rejected with a remedy."""
 
 from pathlib import Path
 
@@ -73,7 +73,7 @@ def test_any_text_is_read_or_refused_with_the_text_itself(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("chain.mass_kg", "KEY=first:last:count"),
         ("=1,2", "KEY=first:last:count"),
@@ -92,12 +92,12 @@ def test_any_text_is_read_or_refused_with_the_text_itself(text: str) -> None:
         ("a.b=0:1:150000,2:3:150000", "coarser"),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_remedy(text: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_an_impossible_specification_is_rejected_with_a_remedy(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         parse_axis(text)
 
 
-def test_a_sweep_file_gives_one_axis_a_column(tmp_path: Path) -> None:
+def test_a_sweep_file_has_one_axis_per_column(tmp_path: Path) -> None:
     path = tmp_path / "shots.csv"
     path.write_bytes(b'\xef\xbb\xbfchain.sensor,chain.drop_height_m\r\ndisk,0.005\r\nsphere,"3e-3"\r\n\r\n')
     sensor, height = read_sweep_file(path)
@@ -106,7 +106,7 @@ def test_a_sweep_file_gives_one_axis_a_column(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "message"),
     [
         (b"", "holds no shots"),
         (b"chain.mass_kg\n", "holds no shots"),
@@ -116,10 +116,10 @@ def test_a_sweep_file_gives_one_axis_a_column(tmp_path: Path) -> None:
         (b'a\n"1\n', "no CSV"),
     ],
 )
-def test_a_sweep_file_that_is_none_is_refused(content: bytes, words: str, tmp_path: Path) -> None:
+def test_an_invalid_sweep_file_is_rejected(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "shots.csv"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match=words):
+    with pytest.raises(UsageError, match=message):
         read_sweep_file(path)
     with pytest.raises(UsageError, match="cannot read"):
         read_sweep_file(tmp_path / "absent.csv")
