@@ -127,7 +127,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             on_message=on_message,
             guard=stack.enter_context(guarded_drive(settings, folder)),
         )
-        with standing_by(settings, folder, watches=True):
+        with standing_by(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
@@ -180,14 +180,14 @@ def record_alone(
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
-    prepare_data_folder(folder, anew=not restart_reason)
+    prepare_data_folder(folder, may_create=not restart_reason)
     with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as left:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
         tell = notify_supervisor
         if not supervised:
             tell = left.enter_context(service_manager_notifications(left.enter_context(ProgressReport())))
-            left.enter_context(standing_by(settings, folder, watches=False))
+            left.enter_context(standing_by(settings, folder, monitors_recorder=False))
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
@@ -270,13 +270,13 @@ def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], Non
         yield lambda: None
         return
     with remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
-        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).look
+        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).check
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
     """Own the supply's port: log it, keep the interlock, and switch off when no recorder watches."""
     from daq_service.clock import WallClock
-    from daq_service.corrosion_drive.own_process import own_supply
+    from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
 
     def open_owned() -> AbstractContextManager[PowerSupply]:
@@ -299,7 +299,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
-            left = own_supply(
+            left = run_supply_process(
                 parameters,
                 folder,
                 open_owned,
@@ -328,7 +328,7 @@ def serve_alone(
         if config is not None:  # who opens a folder only to look needs no secrets
             refuse_unusable(settings.notifications)
     refuse_open_doors(settings.web, folder)
-    prepare_data_folder(folder, anew=not restart_reason)
+    prepare_data_folder(folder, may_create=not restart_reason)
     log_to(folder / "logs" / "web.log")
     if restart_reason:
         log.warning("started again: the web service %s", restart_reason)

@@ -201,7 +201,7 @@ class Freshness(freshness.Freshness):
             "now_h": self.now_h,
             "last_write_wall_utc": rfc3339(self.written_ns),
             "wall_age_s": self.wall_age_s,
-            "recorder": self.recorder.word,
+            "recorder": self.recorder.status,
         }
 
     def utc_of(self, hour: float) -> str | None:

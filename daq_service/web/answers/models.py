@@ -15,7 +15,7 @@ from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
 from daq_service.commands.audit import Result
-from daq_service.processes.notifications.delivery_log import What
+from daq_service.processes.notifications.delivery_log import DeliveryKind
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
 
@@ -812,7 +812,7 @@ class DeliveryEntry(Answer):
     id: int = Field(description="Running number; one that is missing was damaged or taken away")
     utc: str
     receiver: str
-    what: What = Field(
+    what: DeliveryKind = Field(
         description="`sending` without `sent` behind it: it is under way, or a crash came in between"
     )
     told: str

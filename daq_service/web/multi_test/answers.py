@@ -8,7 +8,7 @@ from pydantic import Field
 
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue.rows import Severity
-from daq_service.processes.recorder_state import Word
+from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.web.answers.models import Answer, Liveness, PositionStanding
 from daq_service.web.multi_test.location import Absence
 
@@ -22,7 +22,7 @@ class Standing(Answer):
     epoch_utc: str = Field(description="Hour 0 of the test, RFC 3339")
     now_h: float = Field(description="Now on the test's clock, in h since its hour 0")
     end_h: float = Field(description="Hour of the last planned set, h")
-    recorder: Word = Field(description="How the recorder is")
+    recorder: RecorderStatus = Field(description="How the recorder is")
     wall_age_s: float | None = Field(description="Time since the recorder wrote, s; null: it never did")
     held: str | None = Field(description="Who holds the test and why; null: nobody does")
     state: PositionStatus = Field(description="The gravest state of its positions")

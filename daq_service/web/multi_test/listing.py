@@ -122,7 +122,7 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
         "epoch_utc": rfc3339(fresh.epoch_utc_ns),
         "now_h": fresh.now_h,
         "end_h": hours[-1] if hours else 0.0,
-        "recorder": fresh.recorder.word,
+        "recorder": fresh.recorder.status,
         "wall_age_s": fresh.wall_age_s,
         "held": catalogue.held(),
         "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),

@@ -140,7 +140,7 @@ def _carried_out(context: Context, order: DeskOrder) -> int:
 
 def _facts(context: Context, catalogue: Catalogue) -> Facts:
     return Facts(
-        recorder=context.freshness().recorder.word,
+        recorder=context.freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",

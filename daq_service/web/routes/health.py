@@ -38,7 +38,7 @@ def get_health(context: ContextOf) -> JsonAnswer:
         {
             "as_of": fresh.as_of(),
             "recorder": {
-                "state": fresh.recorder.word,
+                "state": fresh.recorder.status,
                 "description": fresh.recorder.description,
                 "doing": None if beat is None else beat.doing,
                 "beat_age_s": fresh.recorder.beat_age_s,

@@ -50,7 +50,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "epoch_utc": rfc3339(fresh.epoch_utc_ns),
                 "pace_h_per_s": settings.clock.pace_h_per_s,
                 "system_ahead_s": fresh.system_ahead_s,
-                "can_finish_now": settings.clock.is_paced and fresh.recorder.word == "running",
+                "can_finish_now": settings.clock.is_paced and fresh.recorder.status == "running",
             },
             "schedule": {
                 "n_sets": len(hours),
@@ -102,7 +102,7 @@ def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:
 def _asked(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
     """Tell what a person is asked to do now, while a recorder waits for it."""
     told = catalogue.last_service_event("asked", "asked_over")
-    if told is None or told.kind != "asked" or fresh.recorder.word != "running":
+    if told is None or told.kind != "asked" or fresh.recorder.status != "running":
         return None
     left_s = told.payload["within_s"] - (fresh.now_utc_ns - told.utc_ns) / NS_PER_S
     return {**told.payload, "left_s": left_s} if left_s > 0.0 else None

@@ -23,7 +23,7 @@ from daq_service.assessment.position_status import (
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
-from daq_service.processes.recorder_state import Word, look_at_recorder
+from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -91,11 +91,11 @@ def of_test(context: Context) -> Iterator[Metric]:
     if has_data:
         yield from _of_data(context, context.freshness())
     else:
-        yield _recorder(look_at_recorder(context.data_folder, []).word)
+        yield _recorder(read_recorder_state(context.data_folder, []).status)
 
 
 def _of_notifications(context: Context) -> Iterator[Metric]:
-    lines = context.notifications.lines.values()
+    lines = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
     for line in lines:
@@ -110,7 +110,7 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
 def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     catalogue = context.catalogue()
     beat_age_s = fresh.recorder.beat_age_s
-    yield _recorder(fresh.recorder.word)
+    yield _recorder(fresh.recorder.status)
     yield _gauge(
         "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", [((), beat_age_s)]
     )
@@ -210,7 +210,7 @@ def _alarms(active: Iterable[AlarmRow]) -> Metric:
 
 
 def _recorder(word: str) -> Metric:
-    return _states("recorder_state", "How the recorder is", [((), word)], get_args(Word), ())
+    return _states("recorder_state", "How the recorder is", [((), word)], get_args(RecorderStatus), ())
 
 
 def _counter(name: str, told: str, number: int) -> Metric:

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Path, Request
 from daq_service.errors import BusyError, StorageUnavailableError
 from daq_service.processes.notifications.addresses import shown_address
 from daq_service.processes.notifications.delivery_log import LOG_FILE
-from daq_service.processes.notifications.receiver import ReceiverLine, State, is_dead
+from daq_service.processes.notifications.receiver import ReceiverQueue, State, is_dead
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
@@ -29,9 +29,9 @@ router = APIRouter(tags=["notifications"])
 def get_notifications(context: ContextOf) -> JsonAnswer:
     """Tell receivers without their secrets: last delivery, failures, what waits, next sign of life."""
     found = context.notifications
-    receivers = [_receiver(context, line) for line in found.lines.values()]
+    receivers = [_receiver(context, line) for line in found.queues.values()]
     return JsonAnswer(
-        {"sending": not found.why_silent, "why_silent": found.why_silent, "receivers": receivers}
+        {"sending": not found.silent_reason, "why_silent": found.silent_reason, "receivers": receivers}
     )
 
 
@@ -67,27 +67,29 @@ def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
 ) -> JsonAnswer:
     """Send one message that is marked as a trial, and tell what became of it."""
-    line = context.notifications.lines.get(receiver)
+    line = context.notifications.queues.get(receiver)
     if line is None:
-        names = ", ".join(context.notifications.lines) or "none"
+        names = ", ".join(context.notifications.queues) or "none"
         raise not_found(f"There is no receiver {receiver!r}.", f"The receivers are: {names}.")
     began_s = time.monotonic()
     try:
         outcome = line.test(person.name)
     except BusyError as error:
         raise conflict(f"{error}.", "Ask again in some seconds.") from None
-    why, arguments = "" if outcome.ok else outcome.told, {"receiver": receiver}
+    why, arguments = "" if outcome.ok else outcome.description, {"receiver": receiver}
     told(request, person, "test_receiver", "done" if outcome.ok else "failed", why, arguments=arguments)
     return JsonAnswer(
         {
             "receiver": receiver,
-            **{name: getattr(outcome, name) for name in ("ok", "status", "told")},
+            "ok": outcome.ok,
+            "status": outcome.status,
+            "told": outcome.description,
             "took_s": time.monotonic() - began_s,
         }
     )
 
 
-def _receiver(context: Context, line: ReceiverLine) -> dict[str, Any]:
+def _receiver(context: Context, line: ReceiverQueue) -> dict[str, Any]:
     own, state, now_ns = context.notifications.settings.receivers[line.name], line.state, time.time_ns()
     rules = enumerate(context.notifications.settings.rules, start=1)
     sent_ns = state.last_sent_utc_ns

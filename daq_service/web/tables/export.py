@@ -66,7 +66,7 @@ def facts_of(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts
         "epoch_utc": format_utc(experiment.epoch_utc_ns),
         "now_utc": format_utc(fresh.now_utc_ns),
         "now_h": fresh.now_h,
-        "recorder": fresh.recorder.word,
+        "recorder": fresh.recorder.status,
         "configuration_hash": experiment.configuration_hash,
         "solimon_version": version("solimon"),
     }

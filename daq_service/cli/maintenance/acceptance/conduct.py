@@ -67,7 +67,7 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Span, restarts and ends without a word."""
     quantity, begun = partial(Quantity, "Recorder"), starts(evidence)
     died = sum(before is not None and before.kind not in FAREWELLS for _, before in begun)
-    gone = evidence.recorder.word in ("silent", "absent") and not evidence.is_copy and bool(begun)
+    gone = evidence.recorder.status in ("silent", "absent") and not evidence.is_copy and bool(begun)
     yield quantity(
         "span_h",
         "time that this certificate covers",

@@ -161,7 +161,7 @@ def test_a_file_that_can_be_neither_read_nor_written_is_told_once_and_ends_nothi
     (tmp_path / FILE_NAME).mkdir()
     clock, told = FakeMonotonic(), []
     heartbeat = Heartbeat(
-        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: told.append(beat_of(values))
+        tmp_path, deadline_s=65.0, mono_ns=clock, notify=lambda event, **values: told.append(beat_of(values))
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")

@@ -19,7 +19,7 @@ from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage, encoded
-from daq_service.processes.recorder_state import Word, look_at_recorder, recorder_state
+from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
@@ -67,10 +67,10 @@ LATE = "last sign of life 66 s ago while waiting"
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
 def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
-    owned: bool | None, found: Beat | None, word: Word, description: str, kinds: list[str]
+    owned: bool | None, found: Beat | None, word: RecorderStatus, description: str, kinds: list[str]
 ) -> None:
     state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.description) == (word, description)
+    assert (state.status, state.description) == (word, description)
     assert state.listens == (word == "running")
     assert state.beat is found
 
@@ -85,19 +85,19 @@ def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
     ],
 )
 def test_without_a_heartbeat_the_catalogue_tells_whether_anybody_ever_recorded(
-    owned: bool | None, kinds: list[str], word: Word, description: str
+    owned: bool | None, kinds: list[str], word: RecorderStatus, description: str
 ) -> None:
     state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.description, state.listens) == (word, description, False)
+    assert (state.status, state.description, state.listens) == (word, description, False)
 
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
 def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
     """The lock says that somebody runs, and whoever runs has not said farewell: it waits for its rig, say."""
 
-    def state(found: Beat | None) -> tuple[Word, str, bool]:
+    def state(found: Beat | None) -> tuple[RecorderStatus, str, bool]:
         told = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
-        return told.word, told.description, told.listens
+        return told.status, told.description, told.listens
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
@@ -117,16 +117,16 @@ def test_a_recorder_that_starts_after_a_farewell_runs(farewell: str) -> None:
     ],
 )
 def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
-    kinds: list[str], word: Word, listens: bool
+    kinds: list[str], word: RecorderStatus, listens: bool
 ) -> None:
     left = beat(1.0, stage="ended")
     state = recorder_state(left, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.listens) == (word, listens)
+    assert (state.status, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
     late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     gone = recorder_state(left, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
-    assert [(one.word, one.listens) for one in (late, gone)] == [(word, False)] * 2
+    assert [(one.status, one.listens) for one in (late, gone)] == [(word, False)] * 2
 
 
 def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
@@ -219,13 +219,13 @@ def test_a_recorder_that_has_just_begun_is_not_the_one_that_said_farewell(folder
     told = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
-    def look(process: int) -> tuple[Word, str]:
+    def look(process: int) -> tuple[RecorderStatus, str]:
         last = Beat(
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
         (folder / FILE_NAME).write_bytes(encoded(last))
-        state = look_at_recorder(folder, told)
-        return state.word, state.description
+        state = read_recorder_state(folder, told)
+        return state.status, state.description
 
     with own_data_folder(folder):
         assert look(os.getpid())[0] == "stopped"
@@ -242,4 +242,6 @@ def test_of_a_folder_that_was_moved_away_nobody_claims_to_know_its_recorder(fold
     assert health["state"] == "silent"
     assert f"{folder} is gone" in health["description"]
     assert "keeps what it takes in memory" in health["description"]
-    assert look_at_recorder(folder, []).word == "absent", "of a test that has not begun there is no folder"
+    assert read_recorder_state(folder, []).status == "absent", (
+        "of a test that has not begun there is no folder"
+    )

@@ -93,7 +93,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
         heartbeat = Heartbeat(
             folder,
             deadline_s=DEADLINE_S,
-            tell=told_too,
+            notify=told_too,
             mono_ns=lambda: machine.elapsed_ns,
             boot=lambda: "it",
         )

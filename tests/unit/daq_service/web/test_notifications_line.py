@@ -288,7 +288,9 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
 
 def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(made):
     bench = made()
-    bench.outcomes.append(Outcome(ok=False, told="the receiver answers 429", status=429, retry_after_s=120.0))
+    bench.outcomes.append(
+        Outcome(ok=False, description="the receiver answers 429", status=429, retry_after_s=120.0)
+    )
     bench.alarms.change()
     assert len(bench.run(119.0)) == 1
     assert len(bench.run(2.0)) == 1
@@ -296,7 +298,7 @@ def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(made):
 
 def test_a_message_that_is_refused_makes_way_for_the_others(made):
     bench = made()
-    refusal = Outcome(ok=False, told="the receiver answers 422", status=422, refused=True)
+    refusal = Outcome(ok=False, description="the receiver answers 422", status=422, refused=True)
     bench.outcomes += [refusal] * MOST_REFUSALS
     bench.alarms.change()
     bench.run()
@@ -348,7 +350,7 @@ def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, mo
         "last_set_age_h": 0.25,
         "last_write_age_s": 9.0,
     }
-    monkeypatch.setattr(bench.line._source, "signs_of_life", lambda: facts)
+    monkeypatch.setattr(bench.line._source, "read_heartbeat_facts", lambda: facts)
     (beat,) = bench.run(30.0)
     assert beat.kind == "heartbeat"
     assert beat.text == (
@@ -367,7 +369,7 @@ def test_heartbeats_for_people_are_an_hour_apart_across_restarts(made, monkeypat
     facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
     sent_s = []
     for pause_s in (1.0, 600.0, 600.0, 3600.0, 1800.0):
-        monkeypatch.setattr(bench.restarted()._source, "signs_of_life", lambda: facts)
+        monkeypatch.setattr(bench.restarted()._source, "read_heartbeat_facts", lambda: facts)
         sent_s += [bench.mono_s] * len(bench.run())
         bench.mono_s += pause_s
         sent_s += [bench.mono_s] * len(bench.run())
@@ -412,9 +414,9 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(made, monkey
 
     monkeypatch.setattr(bench.line, "_send", fail)
     unreadable, readable = bench.alarms.change("hole"), bench.alarms.change("no_data")
-    read = receiver_module.news_of
+    read = receiver_module.alarm_change_of
     monkeypatch.setattr(
-        receiver_module, "news_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+        receiver_module, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
     assert bench.told("sent")[0].event_ids == [readable]

@@ -55,16 +55,16 @@ def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
 def test_without_a_web_service_the_process_that_stands_by_sends(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
-    with standing_by(filled.settings, filled.folder, watches=False):
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
 def test_the_web_service_takes_over_where_it_stopped_and_back_again(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
-    with standing_by(filled.settings, filled.folder, watches=False):
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         with served(filled.settings, filled.folder) as web, web.client() as client:
 
             def sends() -> bool:
@@ -84,8 +84,8 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
     """Its process lives, and with it the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
     with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
-        stack.enter_context(standing_by(filled.settings, filled.folder, watches=False))
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+        stack.enter_context(standing_by(filled.settings, filled.folder, monitors_recorder=False))
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 

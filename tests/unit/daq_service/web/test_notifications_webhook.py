@@ -17,7 +17,7 @@ from support.waiting import happened
 
 from daq_service.errors import UsageError
 from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
-from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 from daq_service.settings.notifications import ReceiverSettings
@@ -27,7 +27,7 @@ SECRET = "correct-horse-battery-staple"
 MESSAGE = Message(
     key="abc.duty.7", kind="test", title="Prüfung", text="Nothing is wrong.", facts={"test": "t"}
 )
-SOON = Bounds(connect_s=5.0, read_s=30.0, whole_s=0.2)
+SOON = Bounds(connect_s=5.0, read_s=30.0, total_s=0.2)
 """Only the whole time may run out."""
 
 
@@ -77,7 +77,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 def test_an_answer_says_what_became_of_it(status, headers, told, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
     outcome = sent(receiver, now_s=lambda: 1_000_000.0)
-    assert told in outcome.told
+    assert told in outcome.description
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
 
@@ -87,13 +87,13 @@ def test_nothing_is_sent_where_an_answer_points(receiver):
             receiver.answers.put((status, {"Location": elsewhere.url}))
             outcome = sent(receiver)
             assert not outcome.ok
-            assert "it points elsewhere, where nothing is sent" in outcome.told
+            assert "it points elsewhere, where nothing is sent" in outcome.description
         assert elsewhere.got.empty()
 
 
 def test_a_receiver_that_never_answers_is_left_after_the_whole_time(receiver):
     receiver.silent.set()
-    assert sent(receiver, bounds=SOON).told == "no answer within 0.2 s"
+    assert sent(receiver, bounds=SOON).description == "no answer within 0.2 s"
 
 
 def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
@@ -115,7 +115,7 @@ def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
         outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE, bounds=SOON)
         left.set()
         thread.join()
-    assert outcome.told == "no answer within 0.2 s"
+    assert outcome.description == "no answer within 0.2 s"
 
 
 def test_the_service_s_end_cuts_an_attempt(receiver):
@@ -133,7 +133,7 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
     with http_receiver(tls=TLS) as receiver:
         outcome = sent(receiver)
         assert not outcome.ok
-        assert outcome.told.startswith("its certificate is refused:")
+        assert outcome.description.startswith("its certificate is refused:")
         assert receiver.got.empty()
         monkeypatch.setenv("SSL_CERT_FILE", str(TLS / "certificate.pem"))
         assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
@@ -142,7 +142,7 @@ def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
 def test_nobody_there_and_nonsense_are_outcomes():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).told == "Connection refused"
+    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).description == "Connection refused"
     with socket.create_server(("127.0.0.1", 0)) as listener:
         answered = threading.Event()
 
@@ -158,7 +158,7 @@ def test_nobody_there_and_nonsense_are_outcomes():
         outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
         answered.set()
         thread.join()
-    assert outcome.told == "no answer of HTTP (BadStatusLine)"
+    assert outcome.description == "no answer of HTTP (BadStatusLine)"
 
 
 # Where addresses and secrets stand
@@ -229,10 +229,12 @@ def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkey
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
     with caplog.at_level(logging.DEBUG):
-        assert notify(address, MESSAGE).ok
+        assert deliver_by_apprise(address, MESSAGE).ok
         receiver.answers.put((500, {}))
-        assert not notify(address, MESSAGE).ok
-        assert "does not know this kind" in notify(Address("nonsense://x", b""), MESSAGE).told
+        assert not deliver_by_apprise(address, MESSAGE).ok
+        assert (
+            "does not know this kind" in deliver_by_apprise(Address("nonsense://x", b""), MESSAGE).description
+        )
     pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
@@ -266,6 +268,6 @@ def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatc
     (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
-    assert notify(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
+    assert deliver_by_apprise(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
     pool.shutdown()
     assert "Authorization" not in receiver.next().headers
