@@ -94,9 +94,9 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
-        from daq_service.web.auth.middleware import refuse_open_doors
+        from daq_service.web.auth.middleware import refuse_unprotected_service
 
-        refuse_open_doors(settings.web, folder)
+        refuse_unprotected_service(settings.web, folder)
     if not no_web and settings.notifications.receivers:
         from daq_service.processes.notifications.addresses import refuse_unusable
 
@@ -320,14 +320,14 @@ def serve_alone(
     """Serve the data folder until somebody says stop."""
     from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
-    from daq_service.web.auth.middleware import refuse_open_doors
+    from daq_service.web.auth.middleware import refuse_unprotected_service
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restart_reason:
         refuse_other_folders(folder)
         if config is not None:  # who opens a folder only to look needs no secrets
             refuse_unusable(settings.notifications)
-    refuse_open_doors(settings.web, folder)
+    refuse_unprotected_service(settings.web, folder)
     prepare_data_folder(folder, may_create=not restart_reason)
     log_to(folder / "logs" / "web.log")
     if restart_reason:

@@ -1,7 +1,7 @@
-"""Access tokens: told once when they are made, kept as hashes in a file that a running service follows.
+"""Access tokens: shown once when created, stored as hashes in a file that a running service monitors.
 
-A token is 256 random bits, so its SHA-256 needs neither salt nor a slow hash. What was revoked stays in the
-file: an empty list means that nobody ever asked for tokens, and never that all are gone.
+A token is 256 random bits, so its SHA-256 needs neither salt nor a slow hash. Revoked tokens stay in the
+file: an empty list means that no token was ever created.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 FILE_NAME = "tokens.json"
 LOOK_EVERY_S = 1.0
-"""How long a revoked token may still open."""
+"""Longest time for which a revoked token is still accepted."""
 OWNER_ONLY = 0o600
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}")
 _S_PER_DAY = 86_400
@@ -41,7 +41,7 @@ _S_PER_DAY = 86_400
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Token:
-    """What is kept of a token; times are RFC 3339."""
+    """Stored data of a token; times are RFC 3339."""
 
     name: str
     role: Role
@@ -52,7 +52,7 @@ class Token:
 
     @property
     def state(self) -> Literal["valid", "expired", "revoked"]:
-        """How it stands at this moment, by the computer's clock."""
+        """Return the present state, by the computer's clock."""
         if self.revoked_utc is not None:
             return "revoked"
         over = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
@@ -63,7 +63,7 @@ _FILE = TypeAdapter(tuple[Token, ...])
 
 
 def tokens_file(web: WebSettings, data_folder: Path) -> Path:
-    """Return the file of a service's tokens."""
+    """Return the path of the tokens file of a service."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
 
@@ -73,7 +73,7 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
     Raises
     ------
     StorageError
-        The file cannot be read, or is none of ours.
+        The file cannot be read, or is no tokens file.
     """
     try:
         return _FILE.validate_json(read_shared(path))
@@ -89,7 +89,7 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
 
 
 def create_token(path: Path, name: str, role: Role, *, days: float | None = None) -> tuple[Token, str]:
-    """Make a token and store its hash; the text that opens is returned here and kept nowhere.
+    """Create a token and store its hash; the secret text is only returned and never stored.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
     Raises
     ------
     UsageError
-        The name is none, or has a valid token.
+        The name is invalid, or has a valid token.
     StorageError
         The file cannot be read or written.
     """
@@ -118,12 +118,12 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
 
 
 def revoke_token(path: Path, name: str) -> Token:
-    """Let a token open nothing any more.
+    """Revoke a token.
 
     Raises
     ------
     UsageError
-        There is none of that name that could be revoked.
+        There is no active token of that name.
     StorageError
         The file cannot be read or written.
     """
@@ -140,7 +140,7 @@ def revoke_token(path: Path, name: str) -> Token:
 
 @contextmanager
 def _changing(path: Path) -> Iterator[list[Token]]:
-    """Give the tokens to be changed in place, and write them whole."""
+    """Yield the tokens for changes in place, and then write them."""
     try:
         with one_at_a_time(path):
             tokens = list(read_tokens(path))
@@ -158,9 +158,9 @@ def _sha256(text: str) -> str:
 
 
 class KnownTokens:
-    """The file as a running service knows it, looked at again every second; used on the event loop alone.
+    """Tokens file in a running service, checked every second; used only on the event loop.
 
-    Where the file is gone or cannot be read after tokens were asked for, nobody comes in until it is back.
+    Where the file is missing or unreadable after a token was created, all access is denied until it is back.
     """
 
     def __init__(self, path: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
@@ -172,12 +172,12 @@ class KnownTokens:
 
     @property
     def asked_for(self) -> bool:
-        """True once there was a token, whatever has become of it."""
+        """Return whether a token was ever created."""
         self._look()
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
-        """Return the token with this text, valid or not, in a time that does not depend on it."""
+        """Return the token with this text, valid or not, in constant time."""
         self._look()
         sha256, found = _sha256(text), None
         for token in self._tokens:
@@ -186,7 +186,7 @@ class KnownTokens:
         return found
 
     def still_opens(self, name: str, role: str) -> bool:
-        """Tell whether this person would be let in now."""
+        """Return whether a person's token is valid now."""
         self._look()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
@@ -205,7 +205,7 @@ class KnownTokens:
             log.error("nobody is let in: %s", error)
             self._tokens, self._asked_for = (), True
         was_asked_for = self._asked_for
-        # The first token left the lock: a file of tokens that is lost opens nothing after a restart.
+        # The first token created the lock: after a restart, a lost tokens file still denies access.
         self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
         if self._asked_for and not was_asked_for and not self._tokens:
             log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
@@ -213,7 +213,7 @@ class KnownTokens:
 
 
 def _mark_of(path: Path) -> tuple[int, ...]:
-    """Return what changes with the file."""
+    """Return a mark that changes with the file."""
     try:
         found = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Shapes of what a service of several tests answers."""
+"""Models of the answers of a service of several tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from daq_service.web.multi_test.location import Absence
 
 
 class Standing(Answer):
-    """How a test stands that can be shown."""
+    """Present state of a test that can be shown."""
 
     rig: str = Field(description="Kind of the rig")
     rig_label: str = Field(description="The same for a person; a twin is a simulation")
@@ -36,7 +36,7 @@ class Standing(Answer):
 
 
 class ListedTest(Answer):
-    """A test of this service, whether it can be shown or not."""
+    """Test of this service, also one that cannot be shown."""
 
     test: str = Field(description="Its name in addresses")
     name: str = Field(description="The experiment's; while that cannot be read, the folder's or file's")
@@ -54,7 +54,7 @@ class ListedTest(Answer):
 
 
 class ListedTests(Answer):
-    """ServedTests in the order in which the service was given them."""
+    """Tests in the order of the command line."""
 
     items: list[ListedTest] = Field(description="One entry a test")
 

@@ -1,4 +1,4 @@
-"""The application of several tests: their list, and each test's own interface below its name."""
+"""Application of several tests: their list, and the interface of each test below its name."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 
 
 class BelowNames:
-    """Hands a request to the one application of all tests, with the test that it is about."""
+    """Dispatches a request to the application of all tests, with the context of its test."""
 
     def __init__(self, tests: ServedTests, times: AnswerTimes) -> None:
         self._tests = tests
@@ -47,7 +47,7 @@ class BelowNames:
         self._application.state.answer_times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Open the test for as long as the answer lasts; its page is there without one, too."""
+        """Open the test during the response; its page is served also without it."""
         async with AsyncExitStack() as used:
             try:
                 test = self._tests.named(scope["path_params"]["test"])
@@ -66,16 +66,16 @@ class BelowNames:
 
 
 def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
-    """Build the service of several tests.
+    """Return the application of several tests.
 
     Parameters
     ----------
     paths
-        Configurations or data folders; those that cannot be shown are listed and hinder nobody.
+        Configurations or data folders; those that cannot be shown are only listed.
     settings
-        Of the service: its table ``web``.
+        Settings of the service: its table ``web``.
     folder
-        Of the service: tokens, audit of logins, log.
+        Folder of the service: tokens, audit of logins, log.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) 
     )
     context = Context(settings, folder)
     guard(app, context, has_tests=True)
-    app.state.tests = ServedTests(paths, context.doors)
+    app.state.tests = ServedTests(paths, context.access_policy)
     app.state.listing = Listing(app.state.tests)
     app.include_router(routes.probes)
     app.include_router(versioned(RESOURCES))

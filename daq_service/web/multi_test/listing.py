@@ -1,4 +1,4 @@
-"""How each test stands: read without opening it for long, and no more often than it can have changed."""
+"""List of the tests with their present state, read only when it may have changed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339
-from daq_service.web.multi_test.location import AbsentError, folder_of, look, reading
+from daq_service.web.multi_test.location import AbsentError, absent_errors, folder_of, locate_test
 from daq_service.web.multi_test.open_tests import ServedTest, ServedTests
 from daq_service.web.routes.info import RIG_LABELS
 
 CHANGING_S = 2.0
 ENDED_S = 60.0
-"""So old may an entry be of a test that is recorded, and of one whose files have not changed since."""
+"""Maximum age of an entry of a recorded test, and of one with unchanged files."""
 MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE, EXPERIMENT_FILE)
 
 
@@ -45,7 +45,7 @@ class _Seen:
 
 
 class Listing:
-    """Entries of the list, shared by all who ask."""
+    """List of the tests, shared by all requests."""
 
     def __init__(self, tests: ServedTests) -> None:
         self._tests = tests
@@ -53,20 +53,20 @@ class Listing:
         self._seen: dict[str, _Seen] = {}
 
     def entries(self) -> list[dict[str, Any]]:
-        """Read those that may have changed; blocks on files."""
+        """Return the entries, and read those again that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
                 seen, now_s = self._seen.get(test.name), time.monotonic()
                 if seen is None or not seen.is_good(now_s):
                     folder = folder_of(test.path)
-                    # Before it is read: what changes meanwhile is seen the next time.
+                    # Before the read: a change meanwhile is noticed the next time.
                     mark = _mark_of(folder)
                     self._seen[test.name] = _Seen(self._entry(test), folder, mark, now_s)
             now_s = time.monotonic()
             return [seen.entry | {"looked_age_s": now_s - seen.read_s} for seen in self._seen.values()]
 
     def shown(self) -> int:
-        """Count the tests that could be shown when they were last looked at."""
+        """Return the number of tests that could be shown at their last read."""
         return sum(seen.entry["state"] == "shown" for seen in list(self._seen.values()))
 
     def _entry(self, test: ServedTest) -> dict[str, Any]:
@@ -83,16 +83,16 @@ class Listing:
             "standing": None,
         }
         try:
-            settings, folder = look(test.path, self._tests.doors)
+            settings, folder = locate_test(test.path, self._tests.access_policy)
             test.title = entry["name"] = settings.name
-            with reading(), open_catalogue(folder) as catalogue:
+            with absent_errors(), open_catalogue(folder) as catalogue:
                 return entry | {"standing": _standing(settings, folder, catalogue)}
         except AbsentError as error:
             return entry | {"state": error.state, "detail": f"{error}", "remedy": error.remedy}
 
 
 def _mark_of(folder: Path) -> tuple[int, ...]:
-    """Give what changes with the files by which a test stands."""
+    """Return a mark that changes with the files of a test."""
     marks: list[int] = []
     for name in MARKS:
         try:

@@ -1,4 +1,4 @@
-"""Figures of a report as SVG within the page: each set a point, outliers and bad sets by shape, gaps shaded.
+"""Figures of a report as SVG: each set a point, outliers and bad sets by shape, gaps shaded.
 
 Object-oriented API only, text stays text, and the same numbers give the same bytes.
 """
@@ -22,9 +22,9 @@ from hardware_drivers.methods import PULSE_ECHO
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
 WIDTH_IN, PANEL_IN = 7.2, 1.75
 MARGIN = 0.01
-"""Of the hours, at both ends: the first and the last point are seen as a whole."""
+"""Fraction of the hours at both ends, so that the first and last points are fully visible."""
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
-"""Where a legend hides nothing."""
+"""Position of a legend above the axes."""
 RULES: Any = {
     "font.family": "sans-serif",
     "font.size": 8.5,
@@ -47,7 +47,7 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def figure_of(contents: Contents, place: Place) -> str:
-    """Draw a position's values over the hours of the test; the SVG element, empty without any value."""
+    """Return the figure of a position over the hours of the test as SVG element; empty without values."""
     if not place.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
@@ -66,7 +66,7 @@ def figure_of(contents: Contents, place: Place) -> str:
 
 
 def svg_of(figure: Figure, prefix: str) -> str:
-    """Draw a figure as the SVG element of a page; ``prefix`` begins its names there."""
+    """Return a figure as SVG element of a page; ``prefix`` makes its ids unique."""
     content = io.StringIO()
     figure.savefig(content, format="svg", metadata=_NO_METADATA)
     return _within_a_page(content.getvalue(), prefix)
@@ -120,7 +120,7 @@ def _echo_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None
 
 
 def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
-    """Each set a point; a cross where its quality is not good."""
+    """Draw each set as a point, or as a cross where its quality is not good."""
     scaled = {**columns, name: [None if value is None else factor * value for value in columns[name]]}
     for gid, good, style in (
         (name, True, {"marker": "o", "color": BLUE}),
@@ -139,7 +139,7 @@ def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) 
 
 
 def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:
-    """Draw a column over the hours; what is not available is left out."""
+    """Draw a column over the hours, without missing values."""
     there = [
         (h, value) for h, value in zip(columns["due_h"], columns[name], strict=True) if value is not None
     ]
@@ -147,7 +147,7 @@ def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: An
 
 
 def _mark(contents: Contents, place: Place, axis: Axes) -> None:
-    """Shade gaps, and draw a line where an alarm was raised, and where an annotation begins and ends."""
+    """Shade gaps, and draw lines at alarms and at the ends of annotations."""
     for gap in contents.gaps:
         if gap.position == place.name:
             axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
@@ -162,7 +162,7 @@ def _mark(contents: Contents, place: Place, axis: Axes) -> None:
 
 
 def _within_a_page(svg: str, prefix: str) -> str:
-    """Give the element alone, its names unlike those of the other figures."""
+    """Return only the SVG element, with ids that are unique in the page."""
     element = svg[svg.index("<svg") :]
     element = re.sub(r'\bid="', f'id="{prefix}-', element)
     element = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", element)

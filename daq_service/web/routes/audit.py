@@ -1,4 +1,4 @@
-"""`/api/v1/audit`: who asked for what, from where, and what came of it."""
+"""`/api/v1/audit`: audit log of requests, with person, address and result."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:
 
 
 def _written_out(text: str) -> str:
-    """Pydantic by itself takes a number for seconds since 1970, too."""
+    """Return a text in RFC 3339 form; pydantic also accepts a number as seconds since 1970."""
     if not RFC_3339.fullmatch(text):
         raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
     return text
@@ -53,10 +53,10 @@ def list_audit(
     cursor: CursorText = None,
     limit: Limit = 100,
 ) -> JsonAnswer:
-    """List orders, refusals, logins and changes of tokens, the newest first.
+    """List commands, refusals, logins and changes of tokens, the newest first.
 
-    One answer looks at a bounded part of the file: with filters it may hold few items, or none, and a
-    cursor for what was before.
+    One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
+    for earlier ones.
     """
     kinds = _kinds(what)
     first_ns, end_ns = _utc_ns(from_utc), _utc_ns(to_utc)
@@ -101,7 +101,7 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
 
 
 def _utc_ns(moment: datetime | None) -> int | None:
-    """Subtracted, not converted to UTC: in year 1 east of Greenwich it would be in none."""
+    """Return nanoseconds of UTC by subtraction: a conversion to UTC fails in year 1 east of Greenwich."""
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
@@ -111,7 +111,7 @@ def _item(context: Context, number: int, deed: AuditEntry) -> dict[str, Any]:
 
 
 def _outcome(context: Context, command_id: int) -> str | None:
-    """Tell what the recorder made of an order; None where the catalogue cannot say."""
+    """Return the result of a command; None where the catalogue is unavailable."""
     try:
         found = command_state(context.catalogue_access.get(), command_id)
     except SolimonError:

@@ -1,4 +1,4 @@
-"""`/api/v1/environment`: what supply and climate probe said around the sets."""
+"""`/api/v1/environment`: supply and climate around the sets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ add_listing(
     responses=problems(503),
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
-    """Tell the newest row, and how the supply stands now; null where there is none."""
+    """Return the newest row, and the present status of the supply; null where there is none."""
     fresh = context.freshness()
     row, drive = context.catalogue().last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(

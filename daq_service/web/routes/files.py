@@ -1,4 +1,4 @@
-"""`/api/v1/files`: finished files of sets as they lie on the disk, whole or a range of their bytes."""
+"""`/api/v1/files`: finished files of sets, complete or a range of their bytes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def get_file(
     context: ContextOf,
     name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
 ) -> Response:
-    """Send the file of a set; it never changes, so a range of it can be asked for at any time."""
+    """Send the file of a set; it never changes, so ranges of it can be requested at any time."""
     row = _row_of(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
     # A link may lead out of the data folder: it is not followed.
@@ -48,7 +48,7 @@ def get_file(
             "/api/v1/sets names the files; the newest sets get theirs a moment later.",
         )
     size = path.stat()
-    # Compressed on the way, a range would be one of other bytes; in the file they are compressed already.
+    # With compression, a range would refer to other bytes; the data in the file are already compressed.
     headers = {"Content-Encoding": "identity"}
     if row.file_sha256 is not None:
         of_content, known = unchanged(request, f'"{row.file_sha256}"')
@@ -63,7 +63,7 @@ def get_file(
 
 
 def _row_of(context: Context, name: str) -> SetRow | None:
-    """Row of the set that has this file; the name on the disk is the catalogue's, never the request's."""
+    """Return the set of a file; the path comes from the catalogue, never from the request."""
     match = NAME.fullmatch(name)
     if match is None:
         return None

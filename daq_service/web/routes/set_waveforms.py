@@ -1,4 +1,4 @@
-"""`/api/v1/sets/{position}/{set_index}/waveforms`: records of a set, and where marks were sought."""
+"""`/api/v1/sets/{position}/{set_index}/waveforms`: waveforms of a set, and their search windows."""
 
 from __future__ import annotations
 
@@ -43,13 +43,15 @@ def get_set_waveforms(
     position: str,
     set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
 ) -> Response:
-    """Read the accepted records of a set: u32 header length, JSON header, samples one after another.
+    """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
-    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes were looked for.
+    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched.
     """
     catalogue = context.catalogue()
-    its_set = next(iter(catalogue.rows(SetRow, position=context.known(position), set_index=set_index)), None)
+    its_set = next(
+        iter(catalogue.rows(SetRow, position=context.checked_position(position), set_index=set_index)), None
+    )
     accepted = {
         row.sequence
         for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
@@ -100,7 +102,7 @@ def get_set_waveforms(
 
 
 def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, float]]:
-    """Windows of the set, from the trigger; none where the set gave nothing to count them from."""
+    """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[its_set.method]
     place: dict[str, Any] = {"position": its_set.position, "set_index": its_set.set_index}
     found = next(iter(catalogue.rows(method.row, **place, **method.of_sets)), None)
@@ -108,7 +110,7 @@ def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, floa
         if not isinstance(found, FeatureRow) or found.isw_time_s is None:
             return {}
         return search_windows_s(found.isw_time_s, found.psw_time_s, ExtractionSettings())
-    # The reference echo of the test, as the assessor takes it.
+    # The reference echo of the test, as in the assessment.
     first = catalogue.first_reading(its_set.position)
     delay_s = context.settings.ultrasound.delay_s
     if first is None or first.travel_time_s is None or first.travel_time_s <= delay_s:
@@ -116,7 +118,7 @@ def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, floa
     span_s = first.travel_time_s - delay_s
     windows = {"first echo": (delay_s + THINNEST_FRACTION * span_s, delay_s + THICKEST_FRACTION * span_s)}
     if isinstance(found, ThicknessRow) and found.travel_time_s is not None:
-        # The second echo has gone through the wall twice; it is not measured, only where it belongs.
+        # The second echo has passed the wall twice; it is not measured, so only its expected time is shown.
         second_s = delay_s + 2.0 * (found.travel_time_s - delay_s)
         windows["second echo"] = (second_s, second_s)
     return windows

@@ -1,4 +1,4 @@
-"""`/api/v1/waveforms`: stored records in volts, and the live picture by GET and WebSocket."""
+"""`/api/v1/waveforms`: stored waveforms in volts, and live figures by GET and WebSocket."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OCTET_STREAM = "application/octet-stream"
 NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
-"""Also where no picture comes."""
+"""Interval of checks of the token, also without a new figure."""
 ERRORS = problems(404, 422, 503)
 UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -45,8 +45,8 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
     responses={200: {"content": {OCTET_STREAM: _BINARY}}, **ERRORS},
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
-    """Return the live picture: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
-    path = context.data_folder / "live" / f"{context.known(position)}.bin"
+    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
+    path = context.data_folder / "live" / f"{context.checked_position(position)}.bin"
     try:
         content = read_shared(path)
     except FileNotFoundError:
@@ -94,8 +94,8 @@ def get_waveform(
         ),
     ] = None,
 ) -> Response:
-    """Read one stored record, of a repeated shot the accepted one; pulse-echo records have shot index 0."""
-    context.known(position)
+    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
+    context.checked_position(position)
     catalogue = context.catalogue()
     shots = catalogue.rows(ShotRow, position=position, set_index=set_index)
     row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
@@ -106,7 +106,7 @@ def get_waveform(
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
     headers: dict[str, str] = {}
-    if form != "json" and its_set.file_sha256 is not None:  # JSON tells the age, too
+    if form != "json" and its_set.file_sha256 is not None:  # JSON also has the age
         etag = f'"{its_set.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
         headers, known = unchanged(request, etag)
         if known is not None:
@@ -167,9 +167,9 @@ def get_waveform(
 
 
 def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
-    """Find the least and the greatest value of each of ``points // 2`` equal bins, in order.
+    """Return the indices of the minimum and maximum of each of ``points // 2`` equal bins, in order.
 
-    A chart as wide as the bins looks the same as with all samples: no peak is lost.
+    No peak is lost: a chart with one pixel per bin looks the same as with all samples.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
 
 
 def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
-    """Quality of the features, or of the thickness, that a record gave."""
+    """Return the quality of the features or the thickness of a record."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, set_index=set_index)
     return next((row.quality for row in rows if row.sequence == sequence), None)
@@ -200,10 +200,10 @@ async def live_waveforms(
     person: PersonOf,
     positions: Annotated[str | None, Query(max_length=400)] = None,
 ) -> None:
-    """Send the newest picture of each chosen position (`positions=B,C`; absent: all) when it changes.
+    """Send the newest figure of each selected position (`positions=B,C`; absent: all) when it changes.
 
     Each binary message is one live file's bytes; a text message is a heartbeat (``interval_s``), sent where
-    none comes. Only the newest is ever sent: a slow client misses pictures. The guard has checked the Origin
+    none comes. Only the newest is sent: a slow client misses figures. The guard has checked the Origin
     before.
     """
     known = context.settings.positions
@@ -218,7 +218,7 @@ async def live_waveforms(
     seen = dict.fromkeys(chosen, 0)
     beat_s, sent_s = context.hub.heartbeat_interval_s, time.monotonic()
     try:
-        while not left.done() and not live.closed and context.doors.stands(person):
+        while not left.done() and not live.closed and context.access_policy.may_stay(person):
             newer: dict[str, Picture] = live.newer(seen)
             for position, picture in newer.items():
                 seen[position], sent_s = picture.version, time.monotonic()
@@ -244,6 +244,6 @@ async def live_waveforms(
 
 
 async def _until_left(websocket: WebSocket) -> None:
-    """Read until the client leaves; what it says does not matter."""
+    """Read and ignore messages until the client leaves."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

@@ -22,7 +22,7 @@ from daq_service.errors import StorageError, UsageError
 from daq_service.processes.line_file import newest_lines
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
-from daq_service.web.auth.middleware import LONGEST_WHY, MOST_WRONG, refuse_open_doors
+from daq_service.web.auth.middleware import LONGEST_WHY, MOST_WRONG, refuse_unprotected_service
 from daq_service.web.auth.tokens import KnownTokens, create_token, read_tokens, revoke_token
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
@@ -371,13 +371,13 @@ def test_without_a_stated_proxy_nobody_is_believed_who_asks(filled, tokens):
 def test_doors_without_locks_are_refused_at_the_start(tmp_path, tokens):
     web = WebSettings(host="0.0.0.0", host_names=("lab.example.org",), **ENCRYPTED)
     with pytest.raises(UsageError, match=r"holds no valid access token.*solimon token create") as refused:
-        refuse_open_doors(web, tmp_path)
+        refuse_unprotected_service(web, tmp_path)
     assert refused.value.exit_code == 2
     create_token(tokens, "ann", "viewer")
-    refuse_open_doors(web, tmp_path)
+    refuse_unprotected_service(web, tmp_path)
     broken = web.model_copy(update={"tls_key": ENCRYPTED["tls_certificate"]})
     with pytest.raises(UsageError, match="cannot be used"):
-        refuse_open_doors(broken, tmp_path)
+        refuse_unprotected_service(broken, tmp_path)
 
 
 # The audit
