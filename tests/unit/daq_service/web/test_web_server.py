@@ -127,11 +127,13 @@ def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, mon
 
 def test_what_is_being_answered_is_not_broken_off_by_a_slow_next_request(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
-    waited, looks = BoundedHttp._waited, []
-    monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (looks.append(self), waited(self)))
+    check_waiting, checks = BoundedHttp._check_waiting, []
+    monkeypatch.setattr(
+        BoundedHttp, "_check_waiting", lambda self: (checks.append(self), check_waiting(self))
+    )
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
-        until(lambda: len(looks) > 3, "the next request's headers being waited for")
+        until(lambda: len(checks) > 3, "the next request's headers being waited for")
         service.stop.set()
         told = everything_from(client)
     assert b"event: bye" in told
