@@ -75,7 +75,7 @@ class ReportsProtections(Protocol):
 
     @property
     def protection_unknown(self) -> str:
-        """Why a protection could trip without a report; empty where the supply reports it."""
+        """Reason why a protection could trip without a report; empty where the supply reports it."""
         ...
 
 
@@ -109,7 +109,7 @@ class SupplyLogger:
 
     @property
     def tripped(self) -> str | None:
-        """Why the interlock has tripped; None: it has not."""
+        """Reason why the interlock has tripped; None: it has not."""
         return self._tripped
 
     @property

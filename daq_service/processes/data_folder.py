@@ -182,7 +182,7 @@ def _create_hint_folder(folder: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove temporary files of killed writers; only the owner may call this, as it alone writes hints."""
+    """Remove temporary files of killed writers; only the owner may call this, as only it writes hints."""
     for directory in (folder, folder / "live"):
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
             for path in directory.glob(pattern):

@@ -73,7 +73,7 @@ def disk_space(
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
-    """Return why nothing is stored now; empty: there is room."""
+    """Return the reason why nothing is stored now; empty: there is room."""
     if space.level != "stop":
         return ""
     return (
@@ -173,7 +173,7 @@ class DiskWatch:
 
     @property
     def refusal(self) -> str:
-        """Why nothing is stored now; empty: there is room."""
+        """Reason why nothing is stored now; empty: there is room."""
         return refusal(self.space, self._settings)
 
     def free_reserve(self) -> None:

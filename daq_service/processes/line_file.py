@@ -34,8 +34,8 @@ def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
         The line may not be durable.
     """
     with one_at_a_time(path):
-        found, _ = newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
-        append_durably(path, [line_of(found[0][0] + 1 if found else 1, table, row)])
+        lines, _ = newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
+        append_durably(path, [line_of(lines[0][0] + 1 if lines else 1, table, row)])
 
 
 def newest_lines(
@@ -70,18 +70,18 @@ def newest_lines(
     OSError
         The file cannot be read.
     """
-    found: list[Line] = []
+    selected: list[Line] = []
     try:
         with patiently(lambda: path.open("rb")) as file:
             for n_lines, (offset, line) in enumerate(_reversed_lines(file, end), start=1):
                 record = parsed_line(line)
                 if record is not None and wanted(record[2]):
-                    found.append((record[0], record[2]))
-                if len(found) == limit or n_lines == most_lines:
-                    return found, offset or None
+                    selected.append((record[0], record[2]))
+                if len(selected) == limit or n_lines == most_lines:
+                    return selected, offset or None
     except FileNotFoundError:
         pass
-    return found, None
+    return selected, None
 
 
 def _reversed_lines(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:

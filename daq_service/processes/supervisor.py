@@ -61,7 +61,7 @@ def start_process(command: Sequence[str], environment: Mapping[str, str]) -> sub
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChildPlan:
-    """How to start a child.
+    """Start parameters of a child.
 
     Attributes
     ----------

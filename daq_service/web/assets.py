@@ -48,16 +48,16 @@ class Asset:
 @cache
 def assets() -> dict[str, Asset]:
     """Return all files of the dashboard by their path in the URL."""
-    found = {}
+    contents = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
-            found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
+            contents[path.relative_to(FOLDER).as_posix()] = read_shared(path)
     # Modules named in the page are requested at once, not each after its importer. Only those of the first
     # view are preloaded: the others wait in a template, which a browser does not read.
-    soon = [FIRST, *modules(found, FIRST)]
-    later = [SCRIPT, *(name for name in modules(found, SCRIPT) if name not in soon)]
-    found[PAGE] = found[PAGE].replace(b"</head>", _preloads(soon) + b"</head>")
-    found[PAGE] = found[PAGE].replace(LATER, LATER + _preloads(later))
+    preloaded = [FIRST, *modules(contents, FIRST)]
+    deferred = [SCRIPT, *(name for name in modules(contents, SCRIPT) if name not in preloaded)]
+    contents[PAGE] = contents[PAGE].replace(b"</head>", _preloads(preloaded) + b"</head>")
+    contents[PAGE] = contents[PAGE].replace(LATER, LATER + _preloads(deferred))
     return {
         name: Asset(
             content,
@@ -65,7 +65,7 @@ def assets() -> dict[str, Asset]:
             MEDIA_TYPES[Path(name).suffix],
             f'"{hashlib.sha256(content).hexdigest()[:20]}"',
         )
-        for name, content in found.items()
+        for name, content in contents.items()
     }
 
 
@@ -75,15 +75,15 @@ def _preloads(names: Iterable[str]) -> bytes:
 
 def modules(files: Mapping[str, bytes], script: str) -> list[str]:
     """Return the names of all modules that a script imports, directly or not."""
-    found, waiting = {script: None}, [script]
+    names, waiting = {script: None}, [script]
     while waiting:
         name = waiting.pop()
         for match in IMPORTED.findall(files[name]):
             imported = posixpath.normpath(posixpath.join(posixpath.dirname(name), match.decode()))
-            if imported not in found:
-                found[imported] = None
+            if imported not in names:
+                names[imported] = None
                 waiting.append(imported)
-    return list(found)[1:]
+    return list(names)[1:]
 
 
 @router.get("/static/{name:path}")

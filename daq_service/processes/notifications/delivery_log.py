@@ -146,5 +146,5 @@ class DeliveryLog:
 
 def _delivery_of(row: object) -> Delivery:
     assert isinstance(row, dict)
-    place = row["place"]
-    return Delivery(**{**row, "place": None if place is None else Progress(**place)})
+    progress = row["place"]
+    return Delivery(**{**row, "place": None if progress is None else Progress(**progress)})

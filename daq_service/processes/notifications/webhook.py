@@ -47,7 +47,7 @@ class Outcome:
 
     Attributes
     ----------
-    told
+    description
         Result for a person, without address and secret.
     retry_after_s
         Pause that the receiver requests.

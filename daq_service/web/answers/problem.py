@@ -5,7 +5,7 @@
     Problem (raised by the routes)
     ├── type      urn:solimon:problem:<name>, stable
     ├── title, status, detail, hint
-    ├── instance  the path that was asked for
+    ├── instance  the requested path
     ├── request_id, also in the header X-Request-ID and in the log
     └── errors    of a 422: [{in, pointer (RFC 6901), detail}]
 """

@@ -1,6 +1,6 @@
 """Authentication middleware: the person of a request, and refusals before any route.
 
-A token comes in the header `Authorization: Bearer`, or from the page in a cookie that no script can read.
+A token is in the header `Authorization: Bearer`, or for the page in a cookie that no script can read.
 A valid one is always accepted, independent of wrong ones before it: 256 random bits cannot be guessed. The
 cost of wrong tokens is limited instead, in answers and in lines of the audit log.
 """

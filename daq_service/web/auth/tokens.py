@@ -55,8 +55,8 @@ class Token:
         """Return the present state, by the computer's clock."""
         if self.revoked_utc is not None:
             return "revoked"
-        over = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
-        return "expired" if over else "valid"
+        is_expired = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
+        return "expired" if is_expired else "valid"
 
 
 _FILE = TypeAdapter(tuple[Token, ...])
@@ -110,7 +110,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
     token = Token(
         name=name, role=role, sha256=_sha256(text), created_utc=format_utc(now_ns, 0), expires_utc=expires
     )
-    with _changing(path) as tokens:
+    with _edited_tokens(path) as tokens:
         if any(old.name == name and old.state == "valid" for old in tokens):
             raise UsageError(f"{name} has a token; revoke it first with `solimon token revoke {name}`")
         tokens[:] = [*(old for old in tokens if old.name != name), token]
@@ -129,17 +129,17 @@ def revoke_token(path: Path, name: str) -> Token:
     """
     if not read_tokens(path):
         raise UsageError(f"there is no token {name[:60]!r} to revoke; {path} holds none")
-    with _changing(path) as tokens:
-        place = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
-        if place is None:
+    with _edited_tokens(path) as tokens:
+        index = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
+        if index is None:
             names = ", ".join(old.name for old in tokens if not old.revoked_utc) or "none"
             raise UsageError(f"there is no token {name[:60]!r} to revoke; there are: {names}")
-        tokens[place] = replace(tokens[place], revoked_utc=format_utc(time.time_ns(), 0))
-        return tokens[place]
+        tokens[index] = replace(tokens[index], revoked_utc=format_utc(time.time_ns(), 0))
+        return tokens[index]
 
 
 @contextmanager
-def _changing(path: Path) -> Iterator[list[Token]]:
+def _edited_tokens(path: Path) -> Iterator[list[Token]]:
     """Yield the tokens for changes in place, and then write them."""
     try:
         with one_at_a_time(path):
@@ -173,26 +173,26 @@ class KnownTokens:
     @property
     def asked_for(self) -> bool:
         """Return whether a token was ever created."""
-        self._look()
+        self._reload()
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
         """Return the token with this text, valid or not, in constant time."""
-        self._look()
-        sha256, found = _sha256(text), None
+        self._reload()
+        sha256, match = _sha256(text), None
         for token in self._tokens:
             if hmac.compare_digest(token.sha256, sha256):
-                found = token
-        return found
+                match = token
+        return match
 
     def still_opens(self, name: str, role: str) -> bool:
         """Return whether a person's token is valid now."""
-        self._look()
+        self._reload()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
         )
 
-    def _look(self) -> None:
+    def _reload(self) -> None:
         if self._mono_s() < self._next_s:
             return
         self._next_s = self._mono_s() + LOOK_EVERY_S
@@ -215,7 +215,7 @@ class KnownTokens:
 def _mark_of(path: Path) -> tuple[int, ...]:
     """Return a mark that changes with the file."""
     try:
-        found = os.stat(path)  # noqa: PTH116 - the seam is os
+        status = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:
         return (error.errno or 0,)
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    return status.st_mtime_ns, status.st_size, status.st_ino

@@ -28,17 +28,17 @@ RESOURCES = (routes, session, tokens, audit)
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     tests: ServedTests = app.state.tests
-    looking_after = asyncio.create_task(tests.look_after())
+    maintenance = asyncio.create_task(tests.maintain())
     try:
         yield
     finally:
-        looking_after.cancel()
+        maintenance.cancel()
         with suppress(asyncio.CancelledError):
-            await looking_after
+            await maintenance
         await tests.close()
 
 
-class BelowNames:
+class TestDispatcher:
     """Dispatches a request to the application of all tests, with the context of its test."""
 
     def __init__(self, tests: ServedTests, times: AnswerTimes) -> None:
@@ -48,16 +48,16 @@ class BelowNames:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Open the test during the response; its page is served also without it."""
-        async with AsyncExitStack() as used:
+        async with AsyncExitStack() as stack:
             try:
-                test = self._tests.named(scope["path_params"]["test"])
+                test = self._tests.find(scope["path_params"]["test"])
             except Problem as problem:
                 await problem_response(scope, problem)(scope, receive, send)
                 return
             path = scope["path"].removeprefix(f"/tests/{test.name}")
             try:
                 if not path.startswith(PAGE_FILES) and (path != "/" or scope["state"]["person"]):
-                    scope["state"]["test"] = await used.enter_async_context(self._tests.opened(test))
+                    scope["state"]["test"] = await stack.enter_async_context(self._tests.use(test))
             except Problem as problem:
                 if path != "/":
                     await problem_response(scope, problem)(scope, receive, send)
@@ -99,5 +99,5 @@ def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) 
     app.include_router(routes.probes)
     app.include_router(versioned(RESOURCES))
     app.include_router(routes.pages)
-    app.mount("/tests/{test}", BelowNames(app.state.tests, app.state.answer_times))
+    app.mount("/tests/{test}", TestDispatcher(app.state.tests, app.state.answer_times))
     return app

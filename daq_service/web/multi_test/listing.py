@@ -30,13 +30,13 @@ MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _CachedEntry:
     entry: dict[str, Any]
     folder: Path
     mark: tuple[int, ...]
     read_s: float
 
-    def is_good(self, now_s: float) -> bool:
+    def is_current(self, now_s: float) -> bool:
         if now_s - self.read_s < CHANGING_S:
             return True
         standing = self.entry["standing"]
@@ -50,24 +50,26 @@ class Listing:
     def __init__(self, tests: ServedTests) -> None:
         self._tests = tests
         self._lock = threading.Lock()
-        self._seen: dict[str, _Seen] = {}
+        self._cached: dict[str, _CachedEntry] = {}
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the entries, and read those again that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
-                seen, now_s = self._seen.get(test.name), time.monotonic()
-                if seen is None or not seen.is_good(now_s):
+                cached, now_s = self._cached.get(test.name), time.monotonic()
+                if cached is None or not cached.is_current(now_s):
                     folder = folder_of(test.path)
                     # Before the read: a change meanwhile is noticed the next time.
                     mark = _mark_of(folder)
-                    self._seen[test.name] = _Seen(self._entry(test), folder, mark, now_s)
+                    self._cached[test.name] = _CachedEntry(self._entry(test), folder, mark, now_s)
             now_s = time.monotonic()
-            return [seen.entry | {"looked_age_s": now_s - seen.read_s} for seen in self._seen.values()]
+            return [
+                cached.entry | {"looked_age_s": now_s - cached.read_s} for cached in self._cached.values()
+            ]
 
     def shown(self) -> int:
         """Return the number of tests that could be shown at their last read."""
-        return sum(seen.entry["state"] == "shown" for seen in list(self._seen.values()))
+        return sum(cached.entry["state"] == "shown" for cached in list(self._cached.values()))
 
     def _entry(self, test: ServedTest) -> dict[str, Any]:
         page = f"/tests/{test.name}/"
@@ -86,7 +88,7 @@ class Listing:
             settings, folder = locate_test(test.path, self._tests.access_policy)
             test.title = entry["name"] = settings.name
             with absent_errors(), open_catalogue(folder) as catalogue:
-                return entry | {"standing": _standing(settings, folder, catalogue)}
+                return entry | {"standing": _present_state(settings, folder, catalogue)}
         except AbsentError as error:
             return entry | {"state": error.state, "detail": f"{error}", "remedy": error.remedy}
 
@@ -96,24 +98,26 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
     marks: list[int] = []
     for name in MARKS:
         try:
-            found = (folder / name).stat()
+            status = (folder / name).stat()
         except OSError:
             marks += (0, 0)
         else:
-            marks += (found.st_mtime_ns, found.st_size)
+            marks += (status.st_mtime_ns, status.st_size)
     return tuple(marks)
 
 
-def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
+def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
     fresh = Freshness(folder, catalogue, settings.clock.kind)
-    words = catalogue.positions_state()
+    summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        _position(settings, fresh, name, words.get(name) or LastWord(position=name, method=place.method))
+        _position(settings, fresh, name, summaries.get(name) or LastWord(position=name, method=place.method))
         for name, place in settings.positions.items()
     ]
     active = catalogue.rows(AlarmRow, active=True)
-    measured = [row for word in words.values() if (row := word.last_feature or word.last_thickness)]
+    measured = [
+        row for summary in summaries.values() if (row := summary.last_feature or summary.last_thickness)
+    ]
     newest = max(measured, key=lambda row: row.set_index, default=None)
     return {
         "rig": settings.rig.kind,
@@ -136,14 +140,14 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
     }
 
 
-def _position(settings: Settings, fresh: Freshness, name: str, word: LastWord) -> dict[str, Any]:
-    place, data_h = settings.positions[name], data_hour(word)
+def _position(settings: Settings, fresh: Freshness, name: str, summary: LastWord) -> dict[str, Any]:
+    settings_of_position, data_h = settings.positions[name], data_hour(summary)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {
         "position": name,
-        "label": place.label,
-        "method": place.method,
-        "state": status_of(fresh.standing_word(word)),
+        "label": settings_of_position.label,
+        "method": settings_of_position.method,
+        "state": status_of(fresh.standing_word(summary)),
         "stale": is_stale(settings.schedule, fresh, age_h),
         "data_h": data_h,
         "age_h": age_h,

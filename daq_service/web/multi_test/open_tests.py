@@ -36,7 +36,7 @@ class ServedTest:
         """True: it has receivers of notifications and stays open. None: it could not be read yet."""
         self.used_s = 0.0
         self.changing = asyncio.Lock()
-        self.left = AsyncExitStack()
+        self.resources = AsyncExitStack()
 
 
 class ServedTests:
@@ -56,8 +56,8 @@ class ServedTests:
                 raise UsageError(f"{other} and {path} mean the same test; leave one of them out")
         self.access_policy = access_policy
         titles = [title_of(path) for path in paths]
-        found = zip(url_names(titles), titles, paths, strict=True)
-        self.all = {name: ServedTest(name, title, path) for name, title, path in found}
+        entries = zip(url_names(titles), titles, paths, strict=True)
+        self.all = {name: ServedTest(name, title, path) for name, title, path in entries}
 
     def streams(self) -> int:
         """Count the open streams of events of all tests."""
@@ -69,7 +69,7 @@ class ServedTests:
             if test.context is not None:
                 test.context.close_streams()
 
-    def named(self, name: str) -> ServedTest:
+    def find(self, name: str) -> ServedTest:
         """Return the test of a name.
 
         Raises
@@ -82,7 +82,7 @@ class ServedTests:
         return self.all[name]
 
     @asynccontextmanager
-    async def opened(self, test: ServedTest) -> AsyncIterator[Context]:
+    async def use(self, test: ServedTest) -> AsyncIterator[Context]:
         """Open a test, and yield its context; it stays open meanwhile.
 
         Raises
@@ -106,7 +106,7 @@ class ServedTests:
         except AbsentError as error:
             raise unavailable(error) from None
         context = Context(settings, folder, access_policy=self.access_policy, open_streams=self.streams)
-        await test.left.enter_async_context(context.run_background_tasks())
+        await test.resources.enter_async_context(context.run_background_tasks())
         test.context = context
         log.info("opened %s: %s", test.name, folder)
         return context
@@ -117,18 +117,18 @@ class ServedTests:
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
         idle = [test for test in shown if not test.users]
         idle.sort(key=lambda test: test.used_s, reverse=True)
-        for place, test in enumerate(idle):
-            if place >= keep or now_s - test.used_s >= for_s > 0.0:
+        for rank, test in enumerate(idle):
+            if rank >= keep or now_s - test.used_s >= for_s > 0.0:
                 async with test.changing:
                     if not test.users:  # a request may have come meanwhile
                         await self._close(test)
 
     async def _close(self, test: ServedTest) -> None:
         test.context = None
-        await test.left.aclose()
+        await test.resources.aclose()
         log.info("closed %s", test.name)
 
-    async def look_after(self) -> None:
+    async def maintain(self) -> None:
         """Open tests with receivers and close idle ones, periodically without end."""
         while True:
             await self.open_notifying()
@@ -143,7 +143,7 @@ class ServedTests:
                     settings, _ = await asyncio.to_thread(locate_test, test.path, self.access_policy)
                     test.notifies = bool(settings.notifications.receivers)
                 if test.notifies:
-                    async with self.opened(test):
+                    async with self.use(test):
                         pass
 
     async def close(self) -> None:

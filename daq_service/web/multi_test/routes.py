@@ -70,19 +70,19 @@ def get_metrics(request: Request) -> Response:
     merged = {metric.name: metric for metric in of_service()}
     shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])
     for name, test in list(tests.all.items()):
-        found = list(_of_one(tests, name))
-        shown.add_metric([name], float(bool(found)))
+        metrics = list(_metrics_of_test(tests, name))
+        shown.add_metric([name], float(bool(metrics)))
         if test.context is not None:
-            found += of_clients(test.context)
-        for metric in found:
-            its = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
-            its.samples += [
+            metrics += of_clients(test.context)
+        for metric in metrics:
+            family = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
+            family.samples += [
                 sample._replace(labels={"test": name, **sample.labels}) for sample in metric.samples
             ]
     return exposition([*merged.values(), shown], request)
 
 
-def _of_one(tests: ServedTests, name: str) -> Iterator[Metric]:
+def _metrics_of_test(tests: ServedTests, name: str) -> Iterator[Metric]:
     """Yield the metrics of a test without opening it, so that scraping does not keep every test open."""
     try:
         settings, folder = locate_test(tests.all[name].path, tests.access_policy)

@@ -72,7 +72,7 @@ class Gap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class PositionReport:
     """Position: its present state, and its sets of the range as columns.
 
     Attributes
@@ -131,7 +131,7 @@ class Contents:
     n_files: int
     files_sha256: str
     extractors: Sequence[str]
-    places: Sequence[Place]
+    positions: Sequence[PositionReport]
     gaps: Sequence[Gap]
     baselines: Mapping[int, BaselineRow]
     alarms: Sequence[AlarmRow]
@@ -176,8 +176,10 @@ def read_contents(
         }
         sets = {name: _sets(catalogue, name, filters) for name in settings.positions}
         summaries, archive = catalogue.positions_state(), FolderSetReader(folder)
-        places = [
-            _place(catalogue, archive, settings, fresh, name, summaries.get(name), sets[name], filters)
+        positions = [
+            _position_report(
+                catalogue, archive, settings, fresh, name, summaries.get(name), sets[name], filters
+            )
             for name in settings.positions
         ]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
@@ -209,7 +211,7 @@ def read_contents(
                     if summary.last_feature
                 }
             ),
-            places=places,
+            positions=positions,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
             baselines=catalogue.baselines_by_id(),
             alarms=alarms[-MOST_LINES:],
@@ -231,7 +233,7 @@ def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]
     return rows
 
 
-def _place(
+def _position_report(
     catalogue: Catalogue,
     archive: FolderSetReader,
     settings: Settings,
@@ -240,12 +242,12 @@ def _place(
     summary: LastWord | None,
     sets: Sequence[SetRow],
     filters: Filters,
-) -> Place:
-    place = settings.positions[name]
-    last = summary or LastWord(position=name, method=place.method)
+) -> PositionReport:
+    position_settings = settings.positions[name]
+    last = summary or LastWord(position=name, method=position_settings.method)
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    is_probe = place.method == PULSE_ECHO
+    is_probe = position_settings.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
     assessment_filters: Filters = {**filters, "position": name}
@@ -256,11 +258,11 @@ def _place(
         except ArchiveError as error:  # the page shows no interval; the reading is in the catalogue
             log.info("no interval of position %s: %s", name, error)
     states = [row.state for row in sets]
-    return Place(
+    return PositionReport(
         name=name,
-        label=place.label,
-        method=place.method,
-        serial_number=place.serial_number,
+        label=position_settings.label,
+        method=position_settings.method,
+        serial_number=position_settings.serial_number,
         last=last,
         state=status_of(fresh.standing_word(last)),
         data_h=data_h,

@@ -24,4 +24,4 @@ def report_page(
     from daq_service.web.report.page import page
 
     contents = read_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
-    return page(contents, {place.name: figure_of(contents, place) for place in contents.places})
+    return page(contents, {position.name: figure_of(contents, position) for position in contents.positions})

@@ -16,7 +16,7 @@ from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
 from daq_service.settings.tree import Settings
-from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
+from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -54,7 +54,10 @@ def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
         "now": ("How it stands", _state_table(contents)),
         "positions": (
             "Positions",
-            [_position_article(contents, place, figures[place.name]) for place in contents.places],
+            [
+                _position_article(contents, position, figures[position.name])
+                for position in contents.positions
+            ],
         ),
         "gaps": ("Gaps", _gap_table(contents)),
         "alarms": ("Alarms", _alarm_articles(contents)),
@@ -112,13 +115,18 @@ def _identity_tables(contents: Contents) -> list[str]:
         ("Digest of their names and SHA-256", contents.files_sha256),
         *_alarm_rule_rows(settings),
     ]
-    places = [
-        (place.name, place.label, place.method.replace("_", " "), place.serial_number or NOT_KNOWN)
-        for place in contents.places
+    position_rows = [
+        (
+            position.name,
+            position.label,
+            position.method.replace("_", " "),
+            position.serial_number or NOT_KNOWN,
+        )
+        for position in contents.positions
     ]
     return [
         table("Identity", (), rows),
-        table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
+        table("Transducers", ("Position", "What it is", "Method", "Serial number"), position_rows),
     ]
 
 
@@ -146,29 +154,33 @@ def _state_table(contents: Contents) -> list[str]:
         "nothing is stored" if contents.wall_age_s is None else f"{contents.wall_age_s:.0f} s before this"
     )
     rows = []
-    for place in contents.places:
-        last = place.last
+    for position in contents.positions:
+        last = position.last
         assessment, measured = last.last_verdict, last.last_feature or last.last_thickness
         quality = NOT_KNOWN if measured is None else measured.quality
         if last.last_thickness is not None:
             value = quantity(last.last_thickness.thickness_m, 1e3, 3, "mm")
-            limit = quantity(place.limit, 1e3, 3, "mm")
+            limit = quantity(position.limit, 1e3, 3, "mm")
         else:
             value = f"D² {significant(assessment.distance_squared if assessment else None)}"
-            if place.state == NOT_ASSESSED and assessment is not None and assessment.reason:
+            if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
                 value = f"not judged: {assessment.reason}"
-            limit = significant(place.limit)
+            limit = significant(position.limit)
             if chart := deciding_chart(assessment, contents.settings):
                 value, limit = (
                     f"{text}; chart {significant(chart_value)}"
                     for text, chart_value in zip((value, limit), chart, strict=True)
                 )
-        age = NOT_KNOWN if place.age_h is None else f"{place.age_h:.2f} h{', stale' if place.stale else ''}"
-        data_h = NOT_KNOWN if place.data_h is None else f"{place.data_h:.2f}"
+        age = (
+            NOT_KNOWN
+            if position.age_h is None
+            else f"{position.age_h:.2f} h{', stale' if position.stale else ''}"
+        )
+        data_h = NOT_KNOWN if position.data_h is None else f"{position.data_h:.2f}"
         rows.append(
             (
-                place.name,
-                place.state.replace("_", " "),
+                position.name,
+                position.state.replace("_", " "),
                 value,
                 limit,
                 quality,
@@ -181,21 +193,21 @@ def _state_table(contents: Contents) -> list[str]:
     return [*pause_note, f"<p class='note'>Last written {written}.</p>", table("Newest values", head, rows)]
 
 
-def _position_article(contents: Contents, place: Place, figure: str) -> str:
-    states = ", ".join(f"{number} {state}" for state, number in place.states.items()) or "none"
+def _position_article(contents: Contents, position: PositionReport, figure: str) -> str:
+    states = ", ".join(f"{number} {state}" for state, number in position.states.items()) or "none"
     parts = [
-        f"<article><h3>Position {escape(place.name)}</h3>",
+        f"<article><h3>Position {escape(position.name)}</h3>",
         f"<p class='note'>Sets in the range: {states}.</p>",
     ]
     shaded = "Gaps are shaded, dashed lines are alarms, dotted ones annotations."
     if figure:
         quantities = (
             "wall thickness"
-            if place.method == PULSE_ECHO
+            if position.method == PULSE_ECHO
             else "time of flight, amplitude ratio and squared distance"
         )
         label = (
-            f"Position {place.name}: {quantities} over the hours of the test; "
+            f"Position {position.name}: {quantities} over the hours of the test; "
             "the numbers are in the table below."
         )
         parts.append(
@@ -203,24 +215,24 @@ def _position_article(contents: Contents, place: Place, figure: str) -> str:
         )
     else:
         parts.append("<p>There is no value in this range.</p>")
-    if place.method == PULSE_ECHO:
-        rows = [_series_row("Wall thickness", place.values, "thickness_m", 1e3, 4, "mm")]
-        rows += [_series_row("Lost thickness", place.values, "thickness_loss_m", 1e6, 2, "µm")]
-        interval = place.thickness_interval_m
+    if position.method == PULSE_ECHO:
+        rows = [_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")]
+        rows += [_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")]
+        interval = position.thickness_interval_m
         label = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
         parts.append(table("Thickness", SERIES, rows))
         parts.append(f"<p>95 % interval of the newest reading: {label}.</p>")
     else:
-        assert place.assessments is not None, "these have them"
-        assessed = [outlier for outlier in place.assessments["outlier"] if outlier is not None]
+        assert position.assessments is not None, "these have them"
+        assessed = [outlier for outlier in position.assessments["outlier"] if outlier is not None]
         rows = [
-            _series_row("Time of flight", place.values, "tof_pp_s", 1e6, 3, "µs"),
-            _series_row("Amplitude ratio", place.values, "amplitude_ratio", 1.0, 4, ""),
-            _series_row("Squared distance", place.assessments, "distance_squared", 1.0, 3, ""),
+            _series_row("Time of flight", position.values, "tof_pp_s", 1e6, 3, "µs"),
+            _series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 4, ""),
+            _series_row("Squared distance", position.assessments, "distance_squared", 1.0, 3, ""),
         ]
         parts.append(table("Features and distance", SERIES, rows))
         parts.append(f"<p>{sum(assessed)} outliers of {len(assessed)} judged sets; "
-                     f"{sum(place.assessments['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
+                     f"{sum(position.assessments['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
     return "\n".join([*parts, "</article>"])
 
 
@@ -268,7 +280,7 @@ def _alarm_articles(contents: Contents) -> list[str]:
 
 
 def _alarm_article(contents: Contents, row: AlarmRow) -> str:
-    place = "The test as a whole" if row.position is None else f"Position {row.position}"
+    subject = "The test as a whole" if row.position is None else f"Position {row.position}"
     acknowledged_by = row.acknowledged_by or "nobody"
     note = f", {row.note}" if row.note else ""
     description = (
@@ -283,7 +295,7 @@ def _alarm_article(contents: Contents, row: AlarmRow) -> str:
     proof = [(name, plain_text(value)) for name, value in row.proof.items()]
     return "\n".join(
         [
-            f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
+            f"<article><h3>{escape(subject)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
             f"<p>{escape(row.message)}</p>",
             f"<p class='note'>{escape(description)}.</p>",
             "<ul>",

@@ -51,14 +51,14 @@ def get_file(
     # With compression, a range would refer to other bytes; the data in the file are already compressed.
     headers = {"Content-Encoding": "identity"}
     if row.file_sha256 is not None:
-        of_content, known = unchanged(request, f'"{row.file_sha256}"')
-        if known is not None:
-            return known
-        headers |= of_content
+        cache_headers, not_modified = unchanged(request, f'"{row.file_sha256}"')
+        if not_modified is not None:
+            return not_modified
+        headers |= cache_headers
     response = FileResponse(path, headers=headers, media_type=HDF5, filename=name, stat_result=size)
-    asked, only_if = request.headers.get("range"), request.headers.get("if-range")
-    if asked is not None and only_if in (None, response.headers["etag"]):
-        _check_range(asked, size.st_size)
+    byte_range, only_if = request.headers.get("range"), request.headers.get("if-range")
+    if byte_range is not None and only_if in (None, response.headers["etag"]):
+        _check_range(byte_range, size.st_size)
     return response
 
 
@@ -76,15 +76,15 @@ def _row_of(context: Context, name: str) -> SetRow | None:
     return next((row for row in rows if row.file is not None and row.file.rpartition("/")[2] == name), None)
 
 
-def _check_range(asked: str, n_bytes: int) -> None:
-    match = RANGE.fullmatch(asked.replace(" ", ""))
+def _check_range(byte_range: str, n_bytes: int) -> None:
+    match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
-    is_good = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
-    if not is_good:
+    is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
+    if not is_valid:
         raise Problem(
             416,
             "range-not-satisfiable",
             "There is no such range",
-            f"Range is {asked[:60]!r}; the file has {n_bytes} bytes.",
+            f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.",
             "Ask for one range, such as bytes=0-1023 or bytes=-1024, or for the whole file.",
         )

@@ -16,4 +16,4 @@ router = APIRouter(tags=["alarms"])
 @router.get("/guidance", operation_id="list_guidance", response_model=GuidanceList)
 def list_guidance() -> JsonAnswer:
     """List for each kind of alarm its meaning, limitations, checks and contact."""
-    return JsonAnswer({"items": [{"kind": kind, **asdict(one)} for kind, one in GUIDANCE.items()]})
+    return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})

@@ -81,7 +81,7 @@ def add_listing(
     description
         Description of the listing in OpenAPI.
     filters
-        Query parameters beside ``cursor`` and ``limit``, by the names of `Filters` but for the hours
+        Query parameters in addition to ``cursor`` and ``limit``, by the names of `Filters` but for the hours
         ``from_h`` and ``to_h``: type and default of each.
     render_rows
         Converts rows to JSON; None: the row with its age.

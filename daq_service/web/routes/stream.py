@@ -60,7 +60,7 @@ async def stream_events(
     last_event_id: Annotated[str | None, Header(description="Set by EventSource when it reconnects")] = None,
 ) -> StreamingResponse:
     """Stream events after `Last-Event-ID` (or `after`), or from the next event."""
-    chosen = _topics(topics)
+    selected = _topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
         raise Problem(
             503,
@@ -69,12 +69,12 @@ async def stream_events(
             f"{MOST_CLIENTS} streams are open, and no more are served.",
             "Close some, or share one between the tabs and programs of a computer.",
         )
-    begin = after if last_event_id in (None, "") else _event_id(last_event_id or "")
-    if begin is None and context.hub.complete_after is not None:
+    start_after = after if last_event_id in (None, "") else _event_id(last_event_id or "")
+    if start_after is None and context.hub.complete_after is not None:
         # Now, before the client is connected: all later events are new to it.
-        begin = context.hub.last_id
+        start_after = context.hub.last_id
     return StreamingResponse(
-        frames(context, context.hub, chosen, begin, partial(context.access_policy.may_stay, person)),
+        frames(context, context.hub, selected, start_after, partial(context.access_policy.may_stay, person)),
         media_type="text/event-stream",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
@@ -83,15 +83,15 @@ async def stream_events(
 def _topics(text: str | None) -> frozenset[str] | None:
     if text is None:
         return None
-    chosen = frozenset(part.strip() for part in text.split(",") if part.strip())
-    unknown = sorted(chosen - set(TOPICS))
-    if unknown or not chosen:
+    selected = frozenset(part.strip() for part in text.split(",") if part.strip())
+    unknown = sorted(selected - set(TOPICS))
+    if unknown or not selected:
         raise invalid(
             "Unknown topic",
             f"topics is {text!r}; unknown: {', '.join(unknown) or '(none given)'}.",
             f"Choose from {', '.join(TOPICS)}.",
         )
-    return chosen
+    return selected
 
 
 def _event_id(text: str) -> int:
@@ -114,7 +114,7 @@ async def frames(
     context: Context,
     hub: EventHub,
     topics: frozenset[str] | None,
-    begin: int | None,
+    start_after: int | None,
     may_stay: Callable[[], bool] = lambda: True,
 ) -> AsyncIterator[bytes]:
     """Yield the frames for one client until the hub closes, the client leaves or its token is invalid."""
@@ -126,7 +126,7 @@ async def frames(
             await hub.changed()
             if hub.complete_after is None:
                 yield heartbeat
-        cursor = hub.last_id if begin is None else begin
+        cursor = hub.last_id if start_after is None else start_after
         if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
             # The id is not merely newer than the hub: it belongs to another data folder.
             yield gap_frame(cursor, hub.last_id, "this event id is not known here")
@@ -151,7 +151,7 @@ async def frames(
             if chunk:
                 yield chunk
             if cursor < hub.last_id:
-                await hub.turn()
+                await hub.yield_turn()
             else:
                 await hub.changed()
             reason = "the client was too slow"

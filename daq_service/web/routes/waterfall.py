@@ -147,9 +147,9 @@ def get_waterfall(
     header_bytes = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     samples = planes.astype("<f4", copy=False).tobytes()
     etag = f'"{hashlib.blake2b(header_bytes + samples, digest_size=16).hexdigest()}-{form}"'
-    headers, known = unchanged(request, etag)
-    if known is not None:
-        return known
+    headers, not_modified = unchanged(request, etag)
+    if not_modified is not None:
+        return not_modified
     if form == "json":
         extremes = {"minimum": _nested_lists(planes[0]), "maximum": _nested_lists(planes[1])}
         return JsonAnswer({**header, **extremes}, headers=headers)

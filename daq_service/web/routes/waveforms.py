@@ -99,20 +99,20 @@ def get_waveform(
     catalogue = context.catalogue()
     shots = catalogue.rows(ShotRow, position=position, set_index=set_index)
     row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
-    its_set = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
-    if row is None or its_set is None or its_set.file is None:
+    set_row = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
+    if row is None or set_row is None or set_row.file is None:
         raise not_found(
             f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
     headers: dict[str, str] = {}
-    if form != "json" and its_set.file_sha256 is not None:  # JSON also has the age
-        etag = f'"{its_set.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
-        headers, known = unchanged(request, etag)
-        if known is not None:
-            return known
+    if form != "json" and set_row.file_sha256 is not None:  # JSON also has the age
+        etag = f'"{set_row.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
+        headers, not_modified = unchanged(request, etag)
+        if not_modified is not None:
+            return not_modified
     try:
-        waveform = context.archive.read_waveform(SetReference(its_set.file), position, shot_index)
+        waveform = context.archive.read_waveform(SetReference(set_row.file), position, shot_index)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'
@@ -132,8 +132,8 @@ def get_waveform(
         )
     time_s, voltage_v = waveform.time_s(), waveform.volts()
     if points is not None and points < time_s.size:
-        kept = extremes_per_bin(voltage_v, points)
-        time_s, voltage_v = time_s[kept], voltage_v[kept]
+        indices = extremes_per_bin(voltage_v, points)
+        time_s, voltage_v = time_s[indices], voltage_v[indices]
     if form == "npy":
         buffer = io.BytesIO()
         np.save(buffer, np.stack([time_s, voltage_v]))
@@ -141,16 +141,16 @@ def get_waveform(
         return Response(buffer.getvalue(), media_type=NPY, headers=headers)
     fresh = context.freshness()
     quality = _quality(context, position, set_index, row.sequence)
-    place = with_utc({"due_h": its_set.due_h}, fresh.epoch_utc_ns)
+    due = with_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(
         {
             "position": position,
-            "method": its_set.method,
+            "method": set_row.method,
             "set_index": set_index,
             "shot_index": shot_index,
             "sequence": row.sequence,
             "utc": rfc3339(row.utc_ns),
-            **place,
+            **due,
             "valid": row.valid,
             "flags": row.flags,
             "quality": quality,
@@ -161,7 +161,7 @@ def get_waveform(
             "time_s": np.ascontiguousarray(time_s),
             "voltage_v": np.ascontiguousarray(voltage_v),
             "as_of": fresh.as_of(),
-            "age_h": fresh.age_h(its_set.due_h),
+            "age_h": fresh.age_h(set_row.due_h),
         }
     )
 
@@ -177,13 +177,13 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
         Strictly increasing; a bin whose extremes coincide gives one index.
     """
     edges = np.linspace(0, values.size, points // 2 + 1).astype(np.intp)
-    kept = [
+    indices = [
         start + extreme
         for start, stop in itertools.pairwise(edges.tolist())
         if stop > start
         for extreme in (int(values[start:stop].argmin()), int(values[start:stop].argmax()))
     ]
-    return np.unique(np.asarray(kept, dtype=np.intp))
+    return np.unique(np.asarray(indices, dtype=np.intp))
 
 
 def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:

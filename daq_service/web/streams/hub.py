@@ -107,7 +107,7 @@ class EventHub(Followed):
         first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
         return self._events[first : None if limit is None else first + limit]
 
-    async def turn(self) -> None:
+    async def yield_turn(self) -> None:
         """Give way to live events and other requests for a moment."""
         async with self._turns:
             await asyncio.sleep(TURN_S)
@@ -128,19 +128,19 @@ class EventHub(Followed):
             del self._events[: -self._ring_events]
         self._wake()
 
-    def _stored(self, event_id: int, last: int) -> list[EncodedEvent]:
+    def _read_stored(self, event_id: int, last: int) -> list[EncodedEvent]:
         """Return the events of the catalogue after an id, at least until the last one."""
-        found: list[EncodedEvent] = []
+        events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
-            found += map(encode_event, rows)
+            events += map(encode_event, rows)
             event_id = rows[-1]["id"]
-        return found
+        return events
 
     def _follow(self) -> None:
         """Poll and encode events, and pass them to the event loop (body of the thread)."""
         last: int | None = None
         began = False
-        trouble = ""
+        last_error = ""
         while not self._stop.is_set():
             pause_s = self._poll_interval_s
             try:
@@ -154,18 +154,18 @@ class EventHub(Followed):
                         last = 0
                     else:
                         first = max(0, last - self._ring_events)
-                        kept = self._stored(first, last)
-                        self._pass_on(self._begin, first, kept)
-                        last = kept[-1].id if kept else last
+                        stored = self._read_stored(first, last)
+                        self._pass_on(self._begin, first, stored)
+                        last = stored[-1].id if stored else last
                 else:
                     rows = self._source.after(last, PAGE_EVENTS)
                     if rows:
                         last = rows[-1]["id"]
                         self._pass_on(self._append, [encode_event(row) for row in rows])
                         pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
-                trouble = ""
+                last_error = ""
             except Exception as error:  # noqa: BLE001 - without this thread no page has news
-                if repr(error) != trouble:
+                if repr(error) != last_error:
                     log.warning("cannot read events: %s", error)
-                trouble, pause_s = repr(error), UNREADABLE_INTERVAL_S
+                last_error, pause_s = repr(error), UNREADABLE_INTERVAL_S
             self._stop.wait(pause_s)

@@ -171,7 +171,7 @@ def test_what_raises_the_alarm_is_told_by_what_decides():
 def test_each_figure_shows_each_set_where_it_belongs(filled):
     told = read_contents(filled.folder)
     with client.open(filled.folder) as test:
-        for place in told.places:
+        for place in told.positions:
             columns = {
                 "A": [("thickness_m", test.thickness("A"))],
             }.get(
@@ -293,7 +293,7 @@ def test_more_sets_than_a_page_shows_are_refused(filled, monkeypatch):
     monkeypatch.setattr(contents, "MOST_SETS", N_SETS - 1)
     with pytest.raises(UsageError, match=f"more than {N_SETS - 1} sets in this range"):
         read_contents(filled.folder)
-    assert len(read_contents(filled.folder, to_h=20.0).places) == 4
+    assert len(read_contents(filled.folder, to_h=20.0).positions) == 4
 
 
 def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(filled, monkeypatch):
@@ -321,11 +321,11 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
 
 def test_annotations_are_drawn_where_they_begin_and_end(filled):
     told = read_contents(filled.folder)
-    drawn = {place.name: figure_of(told, place).count(GREEN.lower()) for place in told.places}
+    drawn = {place.name: figure_of(told, place).count(GREEN.lower()) for place in told.positions}
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
     assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
 
 
 def test_text_of_a_figure_is_text(filled):
     told = read_contents(filled.folder)
-    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(told, told.places[1]))
+    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(told, told.positions[1]))
