@@ -4,14 +4,14 @@
 
     SolimonError
     ├── UsageError      exit 2   a command line or configuration that cannot work
-    ├── RigError        exit 3   an instrument failed beyond what the recorder can mend
+    ├── RigError        exit 3   an instrument failed beyond recovery by the recorder
     ├── StorageError    exit 4   the data folder cannot be written, read or trusted
     ├── BusyError       exit 5   another recorder, process or port owner is in the way
     └── EndedByLibraryError  exit 1   a driver or library tried to end the process
 
 ``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself; ``6``
-a test whose certificate does not pass, or a receiver of notifications that was not reached: nothing failed
-here, but a criterion is not met or not decided.
+a test whose acceptance report does not pass, or a receiver of notifications that was not reached: nothing
+failed here, but a criterion is not met or not decided.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class UsageError(SolimonError):
 
 
 class RigError(SolimonError):
-    """The rig failed beyond what the recorder can mend."""
+    """The rig failed beyond recovery by the recorder."""
 
     exit_code = 3
 
@@ -47,26 +47,26 @@ class StorageError(SolimonError):
 
 
 class StorageUnavailableError(StorageError):
-    """The disk refuses now: full, gone, failing, locked by another program; later it may not.
+    """The disk refuses for now: full, missing, failing, or locked by another program.
 
-    The message names what helps, not what follows: a running test goes on by itself.
+    The message names the remedy, not the consequence: a running test continues by itself.
     """
 
 
 class TriedAgainError(StorageUnavailableError):
-    """The same for a child that its supervisor has started again, and starts once more."""
+    """`StorageUnavailableError` in a child that its supervisor restarted and restarts again."""
 
     exit_code = EXIT_FAULT
 
 
 class BusyError(SolimonError):
-    """Somebody else owns what is needed."""
+    """Another process owns a needed resource."""
 
     exit_code = 5
 
 
 class EndedByLibraryError(SolimonError):
-    """A driver or library raised what would end the process (SystemExit), which is a fault."""
+    """A driver or library raised an exception that would end the process (SystemExit)."""
 
     def __init__(self, ending: BaseException) -> None:
         super().__init__(f"a driver or library ended the work by {ending!r}; report it to its author")

@@ -1,14 +1,15 @@
-"""Files that the processes of a test share: one writes, any number read, beside virus scanners and indexers.
+"""Files shared by the processes of a test: one writer, any number of readers, virus scanners and indexers.
 
-Two kinds. What is *durable* is whole or absent after a power cut: `write_durably`. A *hint* (heartbeat, live
-picture, log) may be empty, torn or gone, and whoever wants it goes on without: `write_hint`, `read_hint`.
+There are two kinds. A *durable* file is complete or absent after a power cut: `write_durably`. A *hint*
+(heartbeat, live figure, log) may be empty, torn or missing, and readers continue without it: `write_hint`,
+`read_hint`.
 
 Windows neither opens, renames nor removes a file that another process holds in certain ways (sharing
-violation, a PermissionError); a moment later it does. What must not fail for that is called `patiently`.
-Where rights are missing for good, the same error costs `PATIENCE_S` before it is told.
+violation, a PermissionError); a moment later it does. Calls that must not fail for that are retried by
+`patiently`. Where rights are missing for good, the same error is raised after `PATIENCE_S`.
 
-Calls that may fail go through `os` by name, where the fault tests interpose. Never is a file written by
-HDF5 itself: a full disk would end the process.
+Calls that may fail go through `os` by name, where the fault tests interpose. HDF5 itself
+never writes a file: a full disk would end the process.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ T = TypeVar("T")
 PATIENCE_S = 5.0
 """A virus scanner holds a new file for some tenths of a second."""
 REPORT_AFTER_S = 1.0
-"""A refusal that lasts longer is logged, also where it ends in time."""
+"""A longer refusal is logged, also where it ends in time."""
 LONGEST_PAUSE_S = 0.05
 HINT_SUFFIX = ".tmp"
 
 LARGEST_BYTES = 4 * 1024**3
-"""Of a file that is read as a whole: a stranger's may have holes and any size."""
+"""Limit of a file that is read completely: a foreign one may be sparse and of any size."""
 
 BUFFERS_A_CALL = 512
-"""Half of what the systems take."""
+"""Half of the limit of the operating systems."""
 O_BINARY = getattr(os, "O_BINARY", 0)
 
 
@@ -49,7 +50,7 @@ def patiently(
     report_after_s: float = REPORT_AFTER_S,
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
-    """Call again while the answer is a refusal, with growing pauses; the last one is raised."""
+    """Retry a call while it is refused, with growing pauses; raise the last refusal."""
     started_s = time.monotonic()
     pause_s, reported = 0.001, False
     while True:
@@ -86,7 +87,7 @@ def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
 
 
 def read_hint(path: Path) -> bytes | None:
-    """Read what may be absent, or held by somebody at this moment: None then, come again."""
+    """Read a file; return None where it is absent, or held by another process at this moment."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -97,7 +98,7 @@ def read_hint(path: Path) -> bytes | None:
 
 
 def write_hint(path: Path, content: bytes) -> OSError | None:
-    """Replace a file by rename, without waiting for anything; return what kept it from being replaced."""
+    """Replace a file by rename, without waiting; return the error where it was not replaced."""
     partial = path.with_suffix(HINT_SUFFIX)
     try:
         partial.write_bytes(content)
@@ -112,13 +113,13 @@ def write_durably(
 ) -> tuple[float, float, float]:
     """Write a temporary file, sync it, rename it, sync its folder.
 
-    Content may come in parts. On an error nothing new is left, as far as the disk still allows it; a
-    ``path`` that existed stays, old or new.
+    Content may come in parts. On an error no new file remains, as far as the disk still allows it; a
+    ``path`` that existed remains, old or new.
 
     Parameters
     ----------
     mode
-        Rights of the new file; Windows has no such thing and gives those of the folder.
+        Rights of the new file; Windows ignores them and applies those of the folder.
 
     Returns
     -------
@@ -158,7 +159,7 @@ def write_durably(
 
 
 def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
-    """Make the names in a folder durable; Windows has no such call and keeps names in its own journal."""
+    """Sync a folder, so that its names are durable; Windows has no such call and journals names itself."""
     if sys.platform == "win32":
         return
     descriptor = patiently(lambda: os.open(folder, os.O_RDONLY), patience_s=patience_s)
@@ -169,7 +170,7 @@ def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
 
 
 def remove_quietly(path: Path) -> None:
-    """Remove a file that must not stay; a disk that refuses even this is logged."""
+    """Remove a file; log a disk that refuses even this."""
     try:
         patiently(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
     except FileNotFoundError:
@@ -182,12 +183,12 @@ def write_all(descriptor: int, buffers: Sequence[bytes | memoryview]) -> None:
     """Write buffers one after the other to the last byte; many at a time where the system can."""
     step = BUFFERS_A_CALL if hasattr(os, "writev") else 1
     for start in range(0, len(buffers), step):
-        some = buffers[start : start + step]
-        if len(some) > 1:
-            written = os.writev(descriptor, some)
-            if written == sum(map(len, some)):
+        batch = buffers[start : start + step]
+        if len(batch) > 1:
+            written = os.writev(descriptor, batch)
+            if written == sum(map(len, batch)):
                 continue
-            some = [b"".join(some)[written:]]
-        rest = memoryview(some[0])
-        while rest:
-            rest = rest[os.write(descriptor, rest) :]
+            batch = [b"".join(batch)[written:]]
+        remaining = memoryview(batch[0])
+        while remaining:
+            remaining = remaining[os.write(descriptor, remaining) :]

@@ -70,7 +70,7 @@ def data_hour(last: LatestRows) -> float | None:
 
 def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
     """Tell that the newest set is older than the cadence explains, or nobody records any more."""
-    if age_h is None or fresh.recorder.word in {"silent", "absent", "stopped"}:
+    if age_h is None or fresh.recorder.status in {"silent", "absent", "stopped"}:
         return True
     return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
 

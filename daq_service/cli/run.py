@@ -94,9 +94,9 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     prepare_data_folder(folder)
     check_owner(settings, folder)
     if not no_web and settings.web.is_reachable:
-        from daq_service.web.auth.middleware import refuse_open_doors
+        from daq_service.web.auth.middleware import refuse_unprotected_service
 
-        refuse_open_doors(settings.web, folder)
+        refuse_unprotected_service(settings.web, folder)
     if not no_web and settings.notifications.receivers:
         from daq_service.processes.notifications.addresses import refuse_unusable
 
@@ -127,7 +127,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             on_message=on_message,
             guard=stack.enter_context(guarded_drive(settings, folder)),
         )
-        with standing_by(settings, folder, watches=True):
+        with standing_by(settings, folder, monitors_recorder=True):
             code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
@@ -180,14 +180,14 @@ def record_alone(
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
-    prepare_data_folder(folder, anew=not restart_reason)
+    prepare_data_folder(folder, may_create=not restart_reason)
     with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as stack:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
         report = notify_supervisor
         if not supervised:
             report = stack.enter_context(service_manager_notifications(stack.enter_context(ProgressReport())))
-            stack.enter_context(standing_by(settings, folder, watches=False))
+            stack.enter_context(standing_by(settings, folder, monitors_recorder=False))
         abandoned = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
@@ -270,13 +270,13 @@ def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], Non
         yield lambda: None
         return
     with remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
-        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).look
+        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).check
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
     """Run the supply process: log, keep the interlock, switch off when no recorder watches."""
     from daq_service.clock import WallClock
-    from daq_service.corrosion_drive.own_process import own_supply
+    from daq_service.corrosion_drive.own_process import run_supply_process
     from daq_service.rig.open_rig import open_supply
 
     def open_owned() -> AbstractContextManager[PowerSupply]:
@@ -299,7 +299,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
-            was_left = own_supply(
+            was_left = run_supply_process(
                 parameters,
                 folder,
                 open_owned,
@@ -320,15 +320,15 @@ def serve_alone(
     """Serve the data folder until a person stops it."""
     from daq_service.processes.notifications.addresses import refuse_unusable
     from daq_service.web.app import create_app
-    from daq_service.web.auth.middleware import refuse_open_doors
+    from daq_service.web.auth.middleware import refuse_unprotected_service
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restart_reason:
         refuse_other_folders(folder)
         if config is not None:  # who opens a folder only to look needs no secrets
             refuse_unusable(settings.notifications)
-    refuse_open_doors(settings.web, folder)
-    prepare_data_folder(folder, anew=not restart_reason)
+    refuse_unprotected_service(settings.web, folder)
+    prepare_data_folder(folder, may_create=not restart_reason)
     log_to(folder / "logs" / "web.log")
     if restart_reason:
         log.warning("started again: the web service %s", restart_reason)

@@ -47,13 +47,13 @@ def serve_tests(
 
 
 def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
-    from daq_service.web.auth.middleware import refuse_open_doors
+    from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_app_of_many
 
     settings = load_settings(web)
     service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
     folder = service_folder if data_dir is None else data_dir.absolute()
-    refuse_open_doors(settings.web, folder)
+    refuse_unprotected_service(settings.web, folder)
     app = create_app_of_many(paths, settings, folder)
     prepare_data_folder(folder)
     log_to(folder / "logs" / "web.log")

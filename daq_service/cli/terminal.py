@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
-from daq_service.processes.printing import HELD_AFTER_S, PRINTING, drop_unwritten
+from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten
 from daq_service.settings.foreign_text import PlainStream, in_one_line
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class ProgressReport:
             self._live = None
             if self._progress:
                 self._print(self._progress, err=True, style="")
-        drop_unwritten()
+        discard_unwritten()
 
     def _print(self, text: str, *, err: bool, style: str) -> None:
         """Print a line; ignore a closed terminal."""

@@ -1,4 +1,4 @@
-"""Read a test in Python, from its folder or from its service: the same figures, with units and quality.
+"""Client that reads a test in Python, from its folder or its service, with units and quality.
 
 >>> from daq_service import client
 >>> with client.open("my-test-data") as test:
@@ -17,7 +17,7 @@ __all__ = ["ClientError", "Event", "Experiment", "RefusedError", "UnreachableErr
 
 TOKEN_VARIABLE = "SOLIMON_TOKEN"
 TIMEOUT_S = 60.0
-"""Longer than the stream's heartbeat: only a dead connection is silent for so long."""
+"""Longer than the interval of the stream's heartbeat: only a dead connection is silent for longer."""
 
 
 def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIMEOUT_S) -> Experiment:  # noqa: A001 - read as client.open
@@ -28,9 +28,9 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
     where
         Its data folder, or the address of its service, such as ``http://127.0.0.1:8750``.
     token
-        For a service that asks for one; default: the environment's ``SOLIMON_TOKEN``. A folder needs none.
+        Access token of a service; default: the environment's ``SOLIMON_TOKEN``. A folder needs none.
     timeout_s
-        Bounds every answer of a service.
+        Time limit of every answer of a service.
 
     Raises
     ------
@@ -38,8 +38,8 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
         The folder holds no test yet, or cannot be read.
     ClientError
         The address is invalid, or a variable of the environment that concerns it (``HTTP_PROXY``,
-        ``HTTPS_PROXY``, ``ALL_PROXY``, ``SSL_CERT_FILE``, ``SSL_CERT_DIR``) cannot be used. This computer's
-        own addresses are asked without a proxy.
+        ``HTTPS_PROXY``, ``ALL_PROXY``, ``SSL_CERT_FILE``, ``SSL_CERT_DIR``) cannot be used. Addresses of this
+        computer are requested without a proxy.
     """
     if not str(where).startswith(("http://", "https://")):
         from daq_service.client.in_process import folder_connection
@@ -48,6 +48,6 @@ def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIME
     from daq_service.client.connection import Connection
     from daq_service.client.transport import http_client
 
-    given = token or os.environ.get(TOKEN_VARIABLE)
-    headers = {"Authorization": f"Bearer {given}"} if given else {}
+    access_token = token or os.environ.get(TOKEN_VARIABLE)
+    headers = {"Authorization": f"Bearer {access_token}"} if access_token else {}
     return Experiment(Connection(http_client(str(where), headers=headers, timeout_s=timeout_s)))

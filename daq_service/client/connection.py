@@ -1,4 +1,4 @@
-"""Questions to a service over HTTP, or to the service of a folder inside this process: the same answers."""
+"""Requests to a service over HTTP, or to the service of a folder inside this process."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from typing import Any
 import httpx
 
 from daq_service.client.errors import RefusedError, UnreachableError
-from daq_service.client.transport import through
+from daq_service.client.transport import proxy_note
 
 log = logging.getLogger(__name__)
 
 API = "/api/v1/"
 LARGEST_PAGE = 1000
 RETRY_S = 1.0
-"""Between tries to come back to a stream, as its `retry` asks for."""
+"""Pause before a stream is opened again, as its `retry` states."""
 
 PASSING = frozenset({408, 425, 429})
-"""Answers below 500 after which the same question may have another answer."""
+"""Statuses below 500 after which a repeated request may succeed."""
 LONGEST_LINE_BYTES = 10_000_000
-"""The rest is dropped: a line without an end takes no more memory than that."""
+"""Limit of the memory for a line without an end; the rest is dropped."""
 
 Events = Callable[[int, str | None], Iterator[dict[str, Any]]]
-"""Takes an event's id and topics; endless, in the order of the ids."""
+"""Takes the id of an event and topics; yields events endlessly, in the order of their ids."""
 
 
 class Connection:
-    """A service's answers.
+    """Connection to a service.
 
     Parameters
     ----------
     http
-        Its address and token; closed by `close`.
+        HTTP client with address and token; closed by `close`.
     events
-        Follows the test until ``closed``; None: by the service's stream.
+        Yields events until ``closed``; None: those of the service's stream.
     """
 
     def __init__(
@@ -49,91 +49,91 @@ class Connection:
         self._closed = closed or threading.Event()
 
     def close(self) -> None:
-        """End it, and whoever follows."""
+        """Close the connection and end its event streams."""
         self._closed.set()
         self.http.close()
 
-    def get(self, path: str, **asked: Any) -> dict[str, Any]:
-        """Answer below ``/api/v1/``.
+    def get(self, path: str, **parameters: Any) -> dict[str, Any]:
+        """Return the JSON answer of a path below ``/api/v1/``.
 
         Raises
         ------
         RefusedError, UnreachableError
-            The service refuses, with its reason; or nobody answers.
+            The service refuses the request, with its reason; or does not answer.
         """
-        response = self.response(path, **asked)
+        response = self.response(path, **parameters)
         try:
             answer: dict[str, Any] = response.json()
         except ValueError:
-            raise _foreign(response) from None
+            raise _foreign_service_error(response) from None
         return answer
 
-    def response(self, path: str, **asked: Any) -> httpx.Response:
-        """Give the same as it came; parameters that are None are left out."""
-        given = {name: value for name, value in asked.items() if value is not None}
+    def response(self, path: str, **parameters: Any) -> httpx.Response:
+        """Return the response of a path below ``/api/v1/``; parameters that are None are left out."""
+        parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
-            response = self.http.get(API + path, params=given)
+            response = self.http.get(API + path, params=parameters_given)
         except httpx.RequestError as error:
             url = self.http.base_url
             remedy = "start `solimon run` or `solimon serve`; SSL_CERT_FILE names certificates of your own"
-            raise UnreachableError(f"{url} does not answer{through(url)} ({error}); {remedy}") from error
-        check(response)
+            raise UnreachableError(f"{url} does not answer{proxy_note(url)} ({error}); {remedy}") from error
+        raise_refusal(response)
         return response
 
-    def pages(self, resource: str, **asked: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Read all pages of a listing; its rows, and how fresh the last page was."""
+    def pages(self, resource: str, **parameters: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+        """Read all pages of a listing; return its rows, and ``as_of`` of the last page."""
         items: list[dict[str, Any]] = []
         cursor = None
         while True:
-            page = self.get(resource, limit=LARGEST_PAGE, cursor=cursor, **asked)
+            page = self.get(resource, limit=LARGEST_PAGE, cursor=cursor, **parameters)
             items += page["items"]
             cursor = page["next_cursor"]
             if cursor is None:
                 return items, page["as_of"]
 
     def events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
-        """Events behind an id as they come, without end; ``gap`` and ``topic`` as the stream tells them."""
-        return (self._events or self._streamed)(after, topics)
+        """Yield events after an id endlessly, with ``gap`` and ``topic`` as in the stream."""
+        return (self._events or self._stream_events)(after, topics)
 
-    def _streamed(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
-        asked: Mapping[str, str] = {} if topics is None else {"topics": topics}
-        url, trouble = self.http.base_url, ""
+    def _stream_events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+        parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
+        url, last_reason = self.http.base_url, ""
         while not self._closed.is_set():
             headers = {"Last-Event-ID": str(after), "Accept": "text/event-stream"}
             # A service that is restarted is waited for: its events are in the catalogue.
             try:
-                with self.http.stream("GET", API + "stream", params=asked, headers=headers) as response:
+                with self.http.stream("GET", API + "stream", params=parameters, headers=headers) as response:
                     if response.is_client_error and response.status_code not in PASSING:
                         response.read()
-                        check(response)
+                        raise_refusal(response)
                     kind = response.headers.get("content-type", "")
                     reason = "" if "event-stream" in kind else f"it answers {response.status_code} {kind}"
-                    for event in parsed(lines_of(response.iter_bytes())):
+                    for event in parse_events(lines_of(response.iter_bytes())):
                         after = event["id"]
                         yield event
             except httpx.RequestError as error:
                 reason = str(error)
-            if reason not in ("", trouble):
-                log.warning("no events from %s%s, asked again: %s", url, through(url), reason)
-            trouble = reason
+            if reason not in ("", last_reason):
+                log.warning("no events from %s%s, asked again: %s", url, proxy_note(url), reason)
+            last_reason = reason
             self._closed.wait(RETRY_S)
 
 
-def check(response: httpx.Response) -> None:
-    """Raise what a service says against a request."""
+def raise_refusal(response: httpx.Response) -> None:
+    """Raise RefusedError where a response is an error."""
     if response.is_success:
         return
     try:
         problem = response.json()
         reason, kind = f"{problem['detail']} {problem['hint']}", problem["type"]
     except (ValueError, KeyError, TypeError):
-        raise _foreign(response) from None
+        raise _foreign_service_error(response) from None
     raise RefusedError(response.status_code, kind, reason)
 
 
-def _foreign(response: httpx.Response) -> RefusedError:
-    answered = f"{response.url} answers {response.status_code}{through(response.url)}"
-    reason = f"{answered}; give the address of a service of solimon"
+def _foreign_service_error(response: httpx.Response) -> RefusedError:
+    status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
+    reason = f"{status}; give the address of a service of solimon"
     return RefusedError(response.status_code, "about:blank", reason)
 
 
@@ -148,17 +148,17 @@ def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
         yield from (line.decode(errors="replace") for line in complete)
 
 
-def parsed(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
-    """Yield server-sent events but for heartbeats and the service's goodbye.
+def parse_events(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
+    """Yield the events of server-sent lines, without heartbeats and the final `bye`.
 
-    A frame that cannot be read is reported in the log and skipped.
+    An unreadable frame is logged and skipped.
     """
     fields: dict[str, str] = {}
     for line in lines:
         if line:
             name, _, value = line.partition(":")
-            before = f"{fields[name]}\n" if name == "data" and name in fields else ""
-            fields[name] = before + value.removeprefix(" ")
+            first_lines = f"{fields[name]}\n" if name == "data" and name in fields else ""
+            fields[name] = first_lines + value.removeprefix(" ")
             continue
         frame, fields = fields, {}
         topic = frame.get("event")
@@ -166,7 +166,7 @@ def parsed(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
             continue
         try:
             event = {"topic": topic, "kind": topic, **json.loads(frame["data"]), "id": int(frame["id"])}
-            if not 0 <= event["id"] < 10**18:  # as the service takes it back
+            if not 0 <= event["id"] < 10**18:  # range that the service accepts
                 raise ValueError(f"its id is {event['id']}")
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             log.warning("an event of the stream cannot be read and is left out: %r: %.200s", error, frame)

@@ -1,11 +1,11 @@
-"""What can go wrong for a reader.
+"""Errors of the client.
 
 ::
 
     SolimonError
-    └── ClientError          the answer is none, with what helps
-        ├── RefusedError     the service says why (a problem of RFC 9457): `status`, `type`
-        └── UnreachableError nobody answers at this address
+    └── ClientError          no valid answer, with the remedy
+        ├── RefusedError     the service refuses (a problem of RFC 9457): `status`, `type`
+        └── UnreachableError no service answers at this address
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from daq_service.errors import SolimonError
 
 
 class ClientError(SolimonError):
-    """A test cannot be read as asked."""
+    """A test cannot be read as requested."""
 
 
 class RefusedError(ClientError):
-    """The service's own words."""
+    """The service refuses a request; the message is its reason."""
 
-    def __init__(self, status: int, problem_type: str, told: str) -> None:
-        super().__init__(told)
+    def __init__(self, status: int, problem_type: str, reason: str) -> None:
+        super().__init__(reason)
         self.status = status
         self.type = problem_type
 
 
 class UnreachableError(ClientError):
-    """No answer came."""
+    """No service answers."""

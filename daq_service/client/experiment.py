@@ -1,4 +1,4 @@
-"""A test as a person reads it in Python."""
+"""Read access to a test in Python."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from daq_service.client.waves import read_waveforms
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """A piece of news; the fields of ``data`` are the API's (`docs/reference/api.md`).
+    """Event of a test; the fields of ``data`` are those of the API (`docs/reference/api.md`).
 
     Attributes
     ----------
     id
-        Pass it to `Experiment.follow` to go on behind it.
+        Pass it to `Experiment.follow` to continue after it.
     topic, kind
         Such as ``sets`` and ``set_done``; ``gap``: events were skipped, read the tables again.
     """
@@ -39,12 +39,12 @@ class Event:
 
 
 class Experiment:
-    """A test that runs or has ended, here or elsewhere (`daq_service.client.open`); it is only read.
+    """Read-only access to a running or ended test, here or elsewhere (`daq_service.client.open`).
 
-    Hours count from the begin of the test: ``from_h`` is included, ``to_h`` is not, None is open. Sets are
-    those of the plan, unless ``purpose`` is ``confirmation`` (beside it) or ``any``. Every table has its
-    quality and age beside the values and their units in ``attrs["units"]``. Methods raise `RefusedError`
-    where the service does, with its reason, and `UnreachableError` where nobody answers.
+    Hours count from the start of the test: ``from_h`` is included, ``to_h`` is not, None is open. Only
+    scheduled sets are read, unless ``purpose`` is ``confirmation`` (unscheduled sets) or ``any``. Every table
+    has columns for quality and age, and units in ``attrs["units"]``. Methods raise `RefusedError` where the
+    service refuses, with its reason, and `UnreachableError` where no service answers.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -57,11 +57,11 @@ class Experiment:
         self.close()
 
     def close(self) -> None:
-        """Let go of files and connections."""
+        """Close files and connections."""
         self._connection.close()
 
     def info(self) -> dict[str, Any]:
-        """Tell name, rig, clock, schedule, limits and positions, as `/api/v1/info`."""
+        """Return name, rig, clock, schedule, limits and positions (`/api/v1/info`)."""
         return self._connection.get("info")
 
     def sets(
@@ -73,9 +73,9 @@ class Experiment:
         state: str | None = None,
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read sets and what became of them."""
-        asked = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
-        return self._table(rows.SetRow, "sets", **asked)
+        """Read sets and their results."""
+        filters = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
+        return self._table(rows.SetRow, "sets", **filters)
 
     def features(
         self,
@@ -87,8 +87,8 @@ class Experiment:
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
         """Read features of the solitary waves: means of sets, or of single shots."""
-        asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
-        return self._table(rows.FeatureRow, "features", **asked)
+        filters = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
+        return self._table(rows.FeatureRow, "features", **filters)
 
     def assessments(
         self,
@@ -98,19 +98,19 @@ class Experiment:
         to_h: float | None = None,
         purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read squared distances, limits and outliers, with the quality of what was judged."""
-        asked = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
-        return self._table(rows.AssessmentRow, "verdicts", **asked)
+        """Read squared distances, limits and outliers, with the quality of the assessed values."""
+        filters = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
+        return self._table(rows.AssessmentRow, "verdicts", **filters)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
-        """Read the baselines of each position, the newest last: their life, statistics and limits."""
+        """Read the baselines of each position, the newest last: lifecycle, statistics and limits."""
         answer = self._connection.get("baselines", position=position)
         return frame(rows.BaselineRow, answer["items"], answer["as_of"])
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read what pulse echo says of the wall."""
+        """Read wall thickness from pulse echo."""
         return self._table(rows.ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
 
     def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
@@ -118,13 +118,13 @@ class Experiment:
         return self._table(rows.EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
 
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
-        """Read alarms with their proofs; ``active`` True: those that stand, False: those that are over."""
+        """Read alarms with their evidence; ``active`` True: active ones, False: ended ones."""
         return self._table(rows.AlarmRow, "alarms", position=position, active=active)
 
     def annotations(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
     ) -> pd.DataFrame:
-        """Read what people noted of hours of the test, withdrawn notes included."""
+        """Read annotations of hours of the test, including withdrawn ones."""
         return self._table(rows.AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
 
     def waveforms(
@@ -135,7 +135,7 @@ class Experiment:
         from_h: float | None = None,
         to_h: float | None = None,
     ) -> xarray.DataArray:
-        """Read stored records in volts: of one set, of a range of hours, or (nothing said) of the newest set.
+        """Read stored waveforms in volts: of one set, of a range of hours, or by default of the newest set.
 
         Returns
         -------
@@ -146,11 +146,11 @@ class Experiment:
         Raises
         ------
         ClientError
-            No record is stored there, or they differ in length or rate.
+            No waveform is stored there, or they differ in length or rate.
         """
-        places = {place["position"]: place["method"] for place in self.info()["positions"]}
-        if position not in places:
-            raise ClientError(f"there is no position {position!r}; the positions are {', '.join(places)}")
+        methods = {entry["position"]: entry["method"] for entry in self.info()["positions"]}
+        if position not in methods:
+            raise ClientError(f"there is no position {position!r}; the positions are {', '.join(methods)}")
         if set_index is not None and (from_h, to_h) != (None, None):
             raise ClientError("say either set_index or a range of hours")
         indices: Sequence[int]
@@ -162,17 +162,17 @@ class Experiment:
         else:
             sets = self.sets(position, from_h=from_h, to_h=to_h)
             indices = sets.loc[sets["n_taken"] > 0, "set_index"].tolist()
-        return read_waveforms(self._connection, position, places[position], indices)
+        return read_waveforms(self._connection, position, methods[position], indices)
 
     def follow(self, *topics: str, after: int | None = None) -> Iterator[Event]:
-        """Yield events as they come, over restarts of recorder and service, until `close`.
+        """Yield new events, also over restarts of recorder and service, until `close`.
 
         Parameters
         ----------
         topics
             Such as ``sets``, ``verdicts``, ``alarms``; none: all.
         after
-            Id of the last event that is known; None: what comes from now on.
+            Id of the last known event; None: only new events.
         """
         if after is None:
             try:
@@ -181,16 +181,16 @@ class Experiment:
                 if not error.type.endswith(":no-data-yet"):
                     raise
                 after = 0
-        for told in self._connection.events(after, ",".join(topics) or None):
+        for event in self._connection.events(after, ",".join(topics) or None):
             yield Event(
-                id=told["id"],
-                topic=told["topic"],
-                kind=told["kind"],
-                position=told.get("position"),
-                set_index=told.get("set_index"),
-                data=told,
+                id=event["id"],
+                topic=event["topic"],
+                kind=event["kind"],
+                position=event.get("position"),
+                set_index=event.get("set_index"),
+                data=event,
             )
 
-    def _table(self, kind: type[Row], resource: str, **asked: Any) -> pd.DataFrame:
-        items, as_of = self._connection.pages(resource, **asked)
+    def _table(self, kind: type[Row], resource: str, **filters: Any) -> pd.DataFrame:
+        items, as_of = self._connection.pages(resource, **filters)
         return frame(kind, items, as_of)

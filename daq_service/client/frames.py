@@ -1,4 +1,4 @@
-"""Rows of the API as DataFrames: numbers stay numbers where some are missing, times are times."""
+"""Rows of the API as DataFrames, with typed columns also where values are missing."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "bo
 
 
 def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any]) -> pd.DataFrame:
-    """Make a table of rows; not available is NaN, NaT or NA.
+    """Return a table of rows; a missing value is NaN, NaT or NA.
 
     Returns
     -------
     DataFrame
-        ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` when it was read and how the
-        recorder was then.
+        ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` the time of reading and the status
+        of the recorder.
     """
     columns = list(described_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):

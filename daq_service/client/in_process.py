@@ -1,4 +1,4 @@
-"""The service of a data folder inside this process: nobody listens on a port, and nothing is written."""
+"""Service of a data folder inside this process, without a port and without writing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNCOMPRESSED = {"Accept-Encoding": "identity"}
 
 
 def folder_connection(folder: Path) -> Connection:
-    """Read a folder by the service's own code; the test may run or have ended.
+    """Return a connection to a data folder, read by the service's own code; the test may run or have ended.
 
     Raises
     ------
@@ -36,42 +36,44 @@ def folder_connection(folder: Path) -> Connection:
     events = CatalogueEvents(context_of(app).catalogue_access)
     closed = threading.Event()
 
-    def followed(after: int, topics: str | None) -> Iterator[dict[str, Any]]:
-        chosen = None if topics is None else set(topics.split(","))
+    def follow_events(after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+        selected_topics = None if topics is None else set(topics.split(","))
         while not closed.is_set():
-            found = events.after(after, PAGE_EVENTS)
-            for event in found:
+            new_events = events.after(after, PAGE_EVENTS)
+            for event in new_events:
                 after = event["id"]
-                if chosen is None or event["topic"] in chosen:
+                if selected_topics is None or event["topic"] in selected_topics:
                     yield dict(event)
-            if not found:
+            if not new_events:
                 closed.wait(POLL_S)
 
-    return Connection(http, events=followed, closed=closed)
+    return Connection(http, events=follow_events, closed=closed)
 
 
 class InProcess(httpx.BaseTransport):
-    """Hands requests to an application, on an event loop of its own: a notebook has one already."""
+    """Transport of requests to an application, on a separate event loop, as a notebook already runs one."""
 
     def __init__(self, app: Any) -> None:
         self._app = app
         self._asgi = httpx.ASGITransport(app)
-        self._opening = start_blocking_portal()
-        self._portal = self._opening.__enter__()
+        self._portal_context = start_blocking_portal()
+        self._portal = self._portal_context.__enter__()
 
     def handle_request(self, request: httpx.Request) -> httpx.Response:
-        """Answer one request as a whole."""
+        """Return the complete response of one request."""
         return self._portal.call(self._answer, request)
 
     async def _answer(self, request: httpx.Request) -> httpx.Response:
-        asked = httpx.Request(request.method, request.url, headers=request.headers, content=request.read())
-        response = await self._asgi.handle_async_request(asked)
+        asgi_request = httpx.Request(
+            request.method, request.url, headers=request.headers, content=request.read()
+        )
+        response = await self._asgi.handle_async_request(asgi_request)
         content = await response.aread()
         return httpx.Response(
             response.status_code, headers=response.headers, stream=httpx.ByteStream(content)
         )
 
     def close(self) -> None:
-        """End the loop, and let go of the catalogue."""
-        self._opening.__exit__(None, None, None)
+        """End the event loop, and close the catalogue."""
+        self._portal_context.__exit__(None, None, None)
         context_of(self._app).catalogue_access.close()

@@ -1,7 +1,7 @@
-"""HTTP client of an address: loopback is asked directly, others by the proxies of the environment.
+"""HTTP client of an address: loopback directly, others by the proxies of the environment.
 
-httpx itself reads every variable, also those that concern other addresses, raises raw errors of them, and
-knows fewer forms of NO_PROXY.
+httpx itself reads every variable, also those for other addresses, raises raw errors for them, and supports
+fewer forms of NO_PROXY.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOOPBACK = ("localhost", "*.localhost", "127.0.0.0/8", "::1", "::ffff:127.0.0.0/
 def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> httpx.Client:
     """Return a client of an address.
 
-    Proxies and certificates are all that the environment decides: a ``.netrc`` lends no passwords.
+    The environment sets only proxies and certificates: passwords of a ``.netrc`` are not used.
 
     Raises
     ------
@@ -35,8 +35,8 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
     variable = ""
     try:
         variable, proxy = proxy_of(url := httpx.URL(address))
-        own: dict[str, Any] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
-        return httpx.Client(base_url=address, headers=headers, timeout=timeout_s, **own)
+        options: dict[str, Any] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
+        return httpx.Client(base_url=address, headers=headers, timeout=timeout_s, **options)
     except OSError as error:  # ssl.SSLError is one
         name = next(filter(os.environ.get, CERTIFICATES), "the package certifi")
         raise ClientError(f"{name} names no readable certificates ({error}); correct or unset it") from error
@@ -52,7 +52,7 @@ def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
     proxies, host = getproxies(), url.host.lower()
     scheme = next(filter(proxies.get, (url.scheme, "all")), None)
     exceptions = (*LOOPBACK, *proxies.get("no", "").lower().split(","))
-    is_direct = any(_is_for(entry.strip(), host) for entry in exceptions)
+    is_direct = any(_matches_host(entry.strip(), host) for entry in exceptions)
     if scheme is None or is_direct or proxy_bypass(url.netloc.decode()):
         return "", None
     names = (f"{scheme}_proxy", f"{scheme}_proxy".upper())
@@ -60,14 +60,14 @@ def proxy_of(url: httpx.URL) -> tuple[str, str | None]:
     return variable, proxies[scheme] if "://" in proxies[scheme] else f"http://{proxies[scheme]}"
 
 
-def through(url: httpx.URL) -> str:
-    """Return for a message which proxy an address is asked through; empty: none."""
+def proxy_note(url: httpx.URL) -> str:
+    """Return the proxy of an address as part of a message; empty: none."""
     variable, _ = proxy_of(url)
     return variable and f" through the proxy of {variable}"
 
 
-def _is_for(entry: str, host: str) -> bool:
-    """Tell whether an entry of NO_PROXY is a network with a host's address, or a pattern of its name."""
+def _matches_host(entry: str, host: str) -> bool:
+    """Return whether an entry of NO_PROXY matches a host, as a network or as a pattern of names."""
     try:
         return ip_address(host) in ip_network(entry.strip("[]"), strict=False)
     except ValueError:

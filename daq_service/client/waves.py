@@ -1,4 +1,4 @@
-"""Stored records as an array in volts, with what is known of each."""
+"""Stored waveforms as an array in volts, with coordinates for each."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ PER_SHOT = ("set_index", "shot_index", "sequence", "valid")
 def read_waveforms(
     connection: Connection, position: str, method: str, indices: Sequence[int]
 ) -> xarray.DataArray:
-    """Read the accepted records of sets (`Experiment.waveforms`)."""
+    """Read the accepted waveforms of sets (`Experiment.waveforms`)."""
     shots: list[Mapping[str, Any]] = []
     for index in indices:
-        results, _ = _results(connection, position, method, index)
+        results, _ = _read_results(connection, position, method, index)
         for shot in connection.get(f"sets/{position}/{index}/shots")["items"]:
             if shot["outcome"] == "accepted":
                 shots.append({**shot, **results.get(shot["sequence"], {"due_h": np.nan, "quality": None})})
@@ -58,10 +58,10 @@ def read_waveforms(
     )
 
 
-def _results(
+def _read_results(
     connection: Connection, position: str, method: str, index: int
 ) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
-    """Hour and quality of each record of a set, by its sequence number."""
+    """Return hour and quality of each waveform of a set, by its sequence number."""
     if method == "pulse_echo":
         items, as_of = connection.pages("thickness", position=position, set_index=index)
     else:

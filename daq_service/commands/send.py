@@ -22,7 +22,7 @@ from daq_service.commands.deadline import command_state
 from daq_service.commands.registry import parse_command
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
-from daq_service.processes.recorder_state import PROCESS_EVENTS, look_at_recorder
+from daq_service.processes.recorder_state import PROCESS_EVENTS, read_recorder_state
 
 START_WITHIN_S = 30.0
 """A recorder looks several times a second, but not while it waits for a record or stores a set."""
@@ -106,8 +106,8 @@ def send_command(
 
 def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
     told = catalogue.last_service_event(*PROCESS_EVENTS)
-    recorder = look_at_recorder(folder, [told.kind] if told else [])
-    if recorder.word == "running" and not recorder.listens:
+    recorder = read_recorder_state(folder, [told.kind] if told else [])
+    if recorder.status == "running" and not recorder.listens:
         raise BusyError(
             f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing "
             "strikes, and it hears no orders before its rig is open; give the order again then, or stop it"

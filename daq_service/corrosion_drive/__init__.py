@@ -1,1 +1,1 @@
-"""The supply that corrodes the plate: switch, watch, charge, log. Nothing else switches it."""
+"""Supply that corrodes the plate: switching, supervision, charge, log. Nothing else switches it."""

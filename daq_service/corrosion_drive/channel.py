@@ -1,7 +1,7 @@
-"""JSON lines between two processes of this machine: over its loopback interface, sealed with a shared key.
+"""Channel of JSON lines between two processes of this machine, over loopback, signed with a shared key.
 
-Nobody waits in here for the other side but for an instant: a process that stands still, or a stranger who
-connects and says nothing, delays no line of ours.
+No call waits for the other side longer than an instant: a suspended process, or a foreign one that connects
+and sends nothing, causes no delay.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ log = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
 CONNECT_WITHIN_S = 0.2
-"""The kernel accepts for a process that stands still."""
+"""The kernel accepts connections also for a suspended process."""
 LONGEST_LINE = 65_536
 MOST_CONNECTIONS = 16
 
 Message = Mapping[str, Any]
 
 
-def sealed(key: bytes, message: Message) -> bytes:
-    """Return the line of a message."""
+def signed_line(key: bytes, message: Message) -> bytes:
+    """Return the signed line of a message."""
     body = json.dumps(message).encode()
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
-def opened(key: bytes, line: bytes) -> dict[str, Any] | None:
-    """Return the message of a line; None where it was not sealed with this key."""
-    seal, _, body = line.rstrip(b"\n").partition(b" ")
-    if not hmac.compare_digest(seal, hmac.new(key, body, "sha256").hexdigest().encode()):
+def verified_message(key: bytes, line: bytes) -> dict[str, Any] | None:
+    """Return the message of a line; None where it was not signed with this key."""
+    signature, _, body = line.rstrip(b"\n").partition(b" ")
+    if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
         return None
     message = json.loads(body)
     return message if isinstance(message, dict) else None
 
 
 class Connection:
-    """One end of a connected socket; never blocks."""
+    """Non-blocking end of a connected socket."""
 
     def __init__(self, connected: socket.socket, key: bytes) -> None:
         connected.setblocking(False)
@@ -54,34 +54,34 @@ class Connection:
         Raises
         ------
         OSError
-            The other side is gone, or has not read for long.
+            The other side is gone, or does not read.
         """
-        line = sealed(self._key, message)
+        line = signed_line(self._key, message)
         if self.socket.send(line) != len(line):
             raise BlockingIOError("the other side does not read")
 
     def received(self) -> list[dict[str, Any]]:
-        """Return what has come.
+        """Return the received messages.
 
         Raises
         ------
         OSError
-            The other side is gone, or has no key.
+            The other side is gone, or has another key.
         """
         try:
-            piece = self.socket.recv(LONGEST_LINE)
+            data = self.socket.recv(LONGEST_LINE)
         except BlockingIOError:
             return []
-        if not piece:
+        if not data:
             raise ConnectionResetError("the other side has closed")
-        *lines, self._pending = (self._pending + piece).split(b"\n")
-        messages = [opened(self._key, line) for line in lines]
+        *lines, self._pending = (self._pending + data).split(b"\n")
+        messages = [verified_message(self._key, line) for line in lines]
         if None in messages or len(self._pending) > LONGEST_LINE:
             raise ConnectionRefusedError("the other side has another key")
         return [message for message in messages if message is not None]
 
     def close(self) -> None:
-        """Close it; harmless when closed."""
+        """Close the connection; may be called again."""
         self.socket.close()
 
 
@@ -91,13 +91,13 @@ def connect(port: int, key: bytes) -> Connection:
     Raises
     ------
     OSError
-        There is none.
+        No server listens there.
     """
     return Connection(socket.create_connection((HOST, port), timeout=CONNECT_WITHIN_S), key)
 
 
 class Server:
-    """Answers whoever has the key; ``port`` is a free one."""
+    """Server for clients with the key; listens on a free ``port``."""
 
     def __init__(self, key: bytes) -> None:
         self._key = key
@@ -111,16 +111,16 @@ class Server:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for registered in list(self._selector.get_map().values()):
-            if registered.data is not None:
-                registered.data.close()
+        for entry in list(self._selector.get_map().values()):
+            if entry.data is not None:
+                entry.data.close()
         self._selector.close()
         self._listener.close()
 
     def serve(self, wait_s: float, answer: Callable[[Message], Message]) -> None:
-        """Answer each message that comes within a time, or has come."""
-        for ready, _ in self._selector.select(wait_s):
-            connection: Connection | None = ready.data
+        """Answer the messages that arrive within a time."""
+        for event, _ in self._selector.select(wait_s):
+            connection: Connection | None = event.data
             if connection is None:
                 self._accept()
                 continue
@@ -133,7 +133,7 @@ class Server:
                 connection.close()
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # whoever it was has gone
+        with contextlib.suppress(OSError):  # the client has already gone
             connection = Connection(self._listener.accept()[0], self._key)
             if len(self._selector.get_map()) > MOST_CONNECTIONS:
                 connection.close()

@@ -1,7 +1,7 @@
-"""Charge that has flowed through the corrosion cell, from measured current, and how a restart goes on.
+"""Charge through the corrosion cell from measured current, and its state over a restart.
 
-Current is integrated by the trapezoid rule over pairs of readings. Time between two readings that lie
-further apart than three intervals is booked as unknown: nobody measured what flowed then.
+Current is integrated by the trapezoid rule over pairs of readings. Time between two readings more than three
+intervals apart is booked as unknown, since the current was not measured.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Charge:
-    """What has flowed since hour 0, and for how long nobody knows."""
+    """Charge since hour 0, and time without a measured current, s."""
 
     coulomb: float = 0.0
     unknown_s: float = 0.0
@@ -31,9 +31,9 @@ def add_interval(
     Parameters
     ----------
     elapsed_s
-        Time between them; a negative one (the clock was set back) counts as none.
+        Time between them; a negative one (the clock was set back) counts as 0.
     first_a, last_a
-        Measured currents, signs kept: an ammeter's scatter about zero adds up to none.
+        Measured currents with sign: the scatter of an ammeter about zero averages out.
     longest_s
         A longer interval is booked as unknown instead.
     """
@@ -44,7 +44,7 @@ def add_interval(
 
 
 def elapsed_s(before: Stamp, after: Stamp) -> float:
-    """Time between two stamps: monotonic within a boot, UTC across boots."""
+    """Return the time between two stamps, s: monotonic within a boot, UTC across boots."""
     if before.boot_id == after.boot_id:
         return (after.mono_ns - before.mono_ns) / NS_PER_S
     return (after.utc_ns - before.utc_ns) / NS_PER_S
@@ -52,7 +52,7 @@ def elapsed_s(before: Stamp, after: Stamp) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """A command `on` in force: the voltage and current limit that were set; None: as configured."""
+    """Command `on` in force: voltage and current limit that were set; None: as configured."""
 
     voltage_v: float | None = None
     current_limit_a: float | None = None
@@ -69,11 +69,11 @@ class DriveState:
     must_switch_off
         The output has not been read as off since it had to be switched off.
     tripped
-        Why the interlock has tripped; None: it has not.
+        Reason why the interlock has tripped; None: it has not.
     latched
         Alarm kinds that last until the next command.
     booked_utc_ns
-        Up to when charge and unknown time are booked; None: nothing was measured yet.
+        End of the booked charge and unknown time; None: nothing was measured yet.
     """
 
     charge: Charge = Charge()
@@ -94,7 +94,7 @@ def restored_state(
     age_s = row.supply_age_s
     booked_utc_ns = None
     if age_s is not None:
-        # A silence that was long already is in the row's unknown time up to its writing.
+        # A gap that was already too long is in the row's unknown time up to its writing.
         open_s = age_s if age_s <= LONGEST_GAP_INTERVALS * parameters.log_interval_s else 0.0
         booked_utc_ns = written_utc_ns - round(open_s * NS_PER_S)
     return DriveState(

@@ -1,4 +1,4 @@
-"""The climate beside the specimen, logged at intervals."""
+"""Climate next to the specimen, logged at intervals."""
 
 from __future__ import annotations
 
@@ -22,55 +22,55 @@ class ClimateLog:
     def __init__(self, probe: ClimateProbe, clock: Clock, parameters: LogParameters) -> None:
         self._probe, self._clock, self._parameters = probe, clock, parameters
         self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
-        self._air: ClimateReading | None = None
+        self._reading: ClimateReading | None = None
         self._changed_ns = clock.mono_ns()
 
     def tick(self) -> None:
-        """Read if it is due; an instrument's error is noted and never raised."""
+        """Read the probe if it is due; an instrument's error is logged and never raised."""
         now_ns = self._clock.mono_ns()
-        if not self._log.due(now_ns):
+        if not self._log.is_due(now_ns):
             return
-        self._log.attempted(now_ns)
+        self._log.record_attempt(now_ns)
         try:
-            air = self._probe.read(self._parameters.read_timeout_s)
+            reading = self._probe.read(self._parameters.read_timeout_s)
         except InstrumentError as error:
             log.warning("climate: %s", error)
-            self._log.trouble = str(error)
+            self._log.error = str(error)
         else:
             now_ns = self._clock.mono_ns()
-            if self._air is None or _values(air) != _values(self._air):
+            if self._reading is None or _values(reading) != _values(self._reading):
                 self._changed_ns = now_ns
-            self._air = air
-            self._log.succeeded(now_ns)
+            self._reading = reading
+            self._log.record_success(now_ns)
 
     def quality(self) -> ReadingQuality:
-        """Rate the newest reading; suspect: it has repeated the same values for long."""
+        """Return the quality of the newest reading; suspect: it has repeated the same values for long."""
         now_ns = self._clock.mono_ns()
         quality = self._log.quality(now_ns)
         unchanged_s = (now_ns - self._changed_ns) / NS_PER_S
         return "suspect" if quality == "good" and unchanged_s >= self._parameters.suspect_after_s else quality
 
     def not_responding(self) -> str:
-        """Return the alarm's message; empty while the probe responds."""
+        """Return the message of the alarm; empty while the probe responds."""
         if self.quality() != "lost":
             return ""
         silent_s = self._log.silent_s(self._clock.mono_ns())
         return (
-            f"Climate probe not responding. No reading for {silent_s:.0f} s: {self._log.trouble}. "
+            f"Climate probe not responding. No reading for {silent_s:.0f} s: {self._log.error}. "
             "Check its cable and port."
         )
 
-    def added_to(self, row: EnvironmentRow) -> EnvironmentRow:
+    def add_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
         """Add the newest reading, its quality and its age to a row."""
-        now_ns, air = self._clock.mono_ns(), self._air
+        now_ns, reading = self._clock.mono_ns(), self._reading
         return replace(
             row,
             climate_quality=self.quality(),
             climate_age_s=self._log.age_s(now_ns),
-            temperature_c=None if air is None else air.temperature_c,
-            relative_humidity=None if air is None else air.relative_humidity,
+            temperature_c=None if reading is None else reading.temperature_c,
+            relative_humidity=None if reading is None else reading.relative_humidity,
         )
 
 
-def _values(air: ClimateReading) -> tuple[float, float]:
-    return air.temperature_c, air.relative_humidity
+def _values(reading: ClimateReading) -> tuple[float, float]:
+    return reading.temperature_c, reading.relative_humidity

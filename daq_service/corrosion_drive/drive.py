@@ -1,11 +1,11 @@
-"""The corrosion drive while a test runs: readings, charge, and the interlock.
+"""Corrosion supply while a test runs: readings, charge, and the interlock.
 
-Its owner calls `tick` all the time: the process of the drive (`own_process`), or a recorder in a test. One
-call asks the supply once, so it lasts no longer than its timeout; nothing here waits or runs by itself.
+Its owner calls `tick` continuously: the supply process (`own_process`), or a recorder in a test. One call
+queries the supply once, so it lasts no longer than its timeout; nothing here waits or runs by itself.
 
 Only a person's command switches the output on. A command `off` and a trip of the interlock are latched until
 the next command `on`, also over a restart: an output that is found on without a command is switched off.
-While the line is lost a switch-off is pending; it follows as soon as the supply answers.
+While the connection is lost a switch-off is pending; it follows as soon as the supply responds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 log = logging.getLogger(__name__)
 
 SWITCH_OFF_EVERY_S = 5.0
-"""A pending switch-off is tried at least so often, however seldom the supply is read."""
+"""Longest interval between attempts of a pending switch-off, independent of the reading interval."""
 SWITCH_OFF_PENDING = "Supply switch-off pending, output may be ON."
 SWITCH_OFF_BY_HAND = "Switch the supply off by hand immediately."
 HOW_TO_SWITCH_ON = "Find the cause, then switch on with `solimon supply --on`."
@@ -58,7 +58,7 @@ class DriveCondition:
 
 @dataclass(slots=True)
 class Reply:
-    """Answer to a command, as soon as there is one."""
+    """Reply to a command, filled in as soon as it is there."""
 
     done: bool = False
     error: str = ""
@@ -66,7 +66,7 @@ class Reply:
 
 @runtime_checkable
 class ReportsProtections(Protocol):
-    """A supply that tells why its output went off."""
+    """Supply that reports why its output went off."""
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
@@ -75,19 +75,19 @@ class ReportsProtections(Protocol):
 
     @property
     def protection_unknown(self) -> str:
-        """Why a protection could trip without being told; empty where the supply tells."""
+        """Reason why a protection could trip without a report; empty where the supply reports it."""
         ...
 
 
 class SupplyLogger:
-    """Logs the supply, integrates the charge, and keeps the interlock.
+    """Logs the supply, integrates the charge, and runs the interlock.
 
     Parameters
     ----------
     clock
-        Its monotonic time says when a reading is due.
+        Its monotonic time schedules the readings.
     state
-        What the last run left; see `charge.restored_state`.
+        State at the end of the last run; see `charge.restored_state`.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class SupplyLogger:
 
     @property
     def tripped(self) -> str | None:
-        """Why the interlock has tripped; None: it has not."""
+        """Reason why the interlock has tripped; None: it has not."""
         return self._tripped
 
     @property
@@ -134,33 +134,33 @@ class SupplyLogger:
         """Number of readings in the means."""
         return len(self._window)
 
-    # Called by its owner all the time ------------------------------------------------------------
+    # Called by its owner continuously ------------------------------------------------------------
 
     def tick(self) -> None:
-        """Do what is due; an instrument's error is noted and never raised."""
+        """Read the supply or switch it off, if due; an instrument's error is logged and never raised."""
         now_ns = self._clock.mono_ns()
-        if self._supply_log.due(now_ns):
-            self._supply_log.attempted(now_ns)
+        if self._supply_log.is_due(now_ns):
+            self._supply_log.record_attempt(now_ns)
             try:
-                self._attend(self._supply, now_ns)
+                self._switch_off_or_read(self._supply, now_ns)
             except InstrumentError as error:
-                self._note_failure(error, now_ns)
+                self._handle_failure(error, now_ns)
             if self._must_switch_off:
-                self._supply_log.look_again_within(now_ns, SWITCH_OFF_EVERY_S)
+                self._supply_log.read_within(now_ns, SWITCH_OFF_EVERY_S)
 
-    def _attend(self, supply: PowerSupply, now_ns: int) -> None:
-        """Switch off if that is pending; else read."""
+    def _switch_off_or_read(self, supply: PowerSupply, now_ns: int) -> None:
+        """Switch off if that is pending; otherwise read."""
         if self._must_switch_off:
             supply.make_safe()
             self._must_switch_off = False
-            self._supply_log.look_again_at_once(now_ns)
+            self._supply_log.read_at_once(now_ns)
         else:
             reading = supply.read(self._parameters.read_timeout_s)
-            self._supply_log.succeeded(self._clock.mono_ns())
-            self._take(reading)
+            self._supply_log.record_success(self._clock.mono_ns())
+            self._process_reading(reading)
 
-    def _take(self, reading: SupplyReading) -> None:
-        self._book(reading)
+    def _process_reading(self, reading: SupplyReading) -> None:
+        self._book_charge(reading)
         self._window.append(reading)
         self._newest = reading
         parameters = self._parameters
@@ -170,7 +170,7 @@ class SupplyLogger:
             self._switch_off_now()
             return
         if self._command is not None and not reading.output_on and self._follows_command(reading):
-            # An output that returns by itself later is not what was commanded.
+            # If the output comes on again by itself later, that is not the command.
             self._command = None
             self._latched |= {"supply_off_unexpectedly"}
         for measured, cap, tolerance, unit in (
@@ -193,11 +193,11 @@ class SupplyLogger:
         self._deviates_since_ns = (self._deviates_since_ns or reading.stamp.mono_ns) if deviates else None
 
     def _follows_command(self, reading: SupplyReading) -> bool:
-        """Whether a reading is newer than the last command: an older one does not show how that was done."""
+        """Return whether a reading is newer than the last command: an older one does not show its result."""
         return reading.stamp.mono_ns >= self._commanded_ns
 
-    def _set(self) -> tuple[float, float]:
-        """Commanded voltage in V and current limit in A."""
+    def _commanded_values(self) -> tuple[float, float]:
+        """Return the commanded voltage in V and current limit in A."""
         command, parameters = self._command or Command(), self._parameters
         return (
             parameters.voltage_v if command.voltage_v is None else command.voltage_v,
@@ -205,12 +205,12 @@ class SupplyLogger:
         )
 
     def _is_limited(self, reading: SupplyReading) -> bool:
-        limit_a = self._set()[1]
+        limit_a = self._commanded_values()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
     def _deviates(self, reading: SupplyReading) -> bool:
-        """Whether voltage or current is away from the command; in current limit only a high voltage is."""
-        voltage_v, limit_a = self._set()
+        """Return whether voltage or current deviates; in current limit, only a high voltage does."""
+        voltage_v, limit_a = self._commanded_values()
         parameters = self._parameters
         above_v = reading.voltage_v - voltage_v
         return (
@@ -225,7 +225,7 @@ class SupplyLogger:
             )
         )
 
-    def _book(self, reading: SupplyReading) -> None:
+    def _book_charge(self, reading: SupplyReading) -> None:
         if self._newest is not None:
             self._charge = add_interval(
                 self._charge,
@@ -235,18 +235,18 @@ class SupplyLogger:
                 longest_s=LONGEST_GAP_INTERVALS * self._parameters.log_interval_s,
             )
         elif self._booked_utc_ns is not None:
-            # Nobody measured while no recorder ran.
+            # Nothing was measured while no recorder ran.
             gap_s = max(0.0, (reading.stamp.utc_ns - self._booked_utc_ns) / NS_PER_S)
             self._charge = replace(self._charge, unknown_s=self._charge.unknown_s + gap_s)
         self._booked_utc_ns = reading.stamp.utc_ns
 
-    def _note_failure(self, error: InstrumentError, now_ns: int) -> None:
-        if not self._supply_log.trouble:
+    def _handle_failure(self, error: InstrumentError, now_ns: int) -> None:
+        if not self._supply_log.error:
             log.warning("supply: %s", error)
-        self._supply_log.trouble = str(error)
+        self._supply_log.error = str(error)
         silent_s = self._supply_log.silent_s(now_ns)
         if self._command is not None and silent_s >= self._parameters.interlock_lost_after_s:
-            # Not reachable now: it is switched off as soon as it answers.
+            # Not reachable now: it is switched off as soon as it responds.
             self._latch(f"no answer from the supply for {silent_s:.0f} s: {error}")
 
     # Commands ------------------------------------------------------------------------------------
@@ -259,17 +259,17 @@ class SupplyLogger:
         Parameters
         ----------
         author
-            Who commands it.
+            Author of the command.
         voltage_v, current_limit_a
             As configured where not given.
 
         Raises
         ------
         ValueError
-            No author: nothing else may switch it on.
+            No author: only a person may switch it on.
         InstrumentError
-            The supply did not do it. Above a cap nothing has changed; else the output is off, or its
-            switch-off is pending.
+            The supply did not execute it. Above a cap nothing has changed; otherwise the output is off, or
+            its switch-off is pending.
         """
         if not author.strip():
             raise ValueError("a command to switch on needs its author")
@@ -278,7 +278,7 @@ class SupplyLogger:
         limit_a = parameters.current_limit_a if current_limit_a is None else current_limit_a
         parameters.require_within_caps(voltage_v, limit_a)
         now_ns = self._clock.mono_ns()
-        self._supply_log.look_again_at_once(now_ns)
+        self._supply_log.read_at_once(now_ns)
         try:
             self._supply.energise(voltage_v, limit_a)
         except InstrumentError as error:
@@ -300,11 +300,11 @@ class SupplyLogger:
         ValueError
             No author.
         InstrumentError
-            What the output does is unknown; its switch-off is pending.
+            The state of the output is unknown; its switch-off is pending.
         """
         if not author.strip():
             raise ValueError("a command to switch off needs its author")
-        self._supply_log.look_again_at_once(self._clock.mono_ns())
+        self._supply_log.read_at_once(self._clock.mono_ns())
         self.end_command()
         self._latched -= {"supply_on_unexpectedly", "supply_off_unexpectedly"}
         self._must_switch_off = True
@@ -314,17 +314,17 @@ class SupplyLogger:
         return Reply(done=True)
 
     def switch_off_at_end(self) -> None:
-        """Switch the output off at the end of a test; raises an InstrumentError where that failed."""
+        """Switch the output off at the end of a test; raise an InstrumentError where that fails."""
         self.switch_off("the end of the test")
 
     def end_command(self) -> None:
-        """End the command `on`: the output is switched off where it is found on."""
+        """End the command `on`: from now on, an output found on is switched off."""
         if self._command is not None:
-            self._supply_log.look_again_at_once(self._clock.mono_ns())
+            self._supply_log.read_at_once(self._clock.mono_ns())
         self._command, self._high_readings = None, 0
 
     def trip(self, reason: str, *, kind: AlarmKind | None = None) -> bool:
-        """Trip the interlock: switch off now, or as soon as the supply answers, and stay off.
+        """Trip the interlock: switch off now, or as soon as the supply responds, and stay off.
 
         Parameters
         ----------
@@ -353,16 +353,16 @@ class SupplyLogger:
         try:
             self._supply.make_safe()
         except InstrumentError as error:
-            self._note_failure(error, now_ns)
+            self._handle_failure(error, now_ns)
             return False
         self._must_switch_off = False
-        self._supply_log.look_again_at_once(now_ns)
+        self._supply_log.read_at_once(now_ns)
         return True
 
     # Readings and conditions ----------------------------------------------------------------------
 
     def output(self) -> SupplyState:
-        """Output as last read; unknown as soon as the newest reading is not good."""
+        """Return the output as last read; unknown as soon as the newest reading is not good."""
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
@@ -370,7 +370,7 @@ class SupplyLogger:
     def conditions(self) -> tuple[DriveCondition, ...]:
         """Return each possible alarm of the supply with whether its condition is present."""
         now_ns, reading, command = self._clock.mono_ns(), self._newest, self._command
-        voltage_v, limit_a = self._set()
+        voltage_v, limit_a = self._commanded_values()
         measured = "" if reading is None else f"{reading.voltage_v:.3g} V, {reading.current_a:.3g} A"
         cause = ""
         if isinstance(self._supply, ReportsProtections):
@@ -381,13 +381,13 @@ class SupplyLogger:
         deviates_s = 0.0
         if command is not None and reading is not None and self._deviates_since_ns is not None:
             deviates_s = (reading.stamp.mono_ns - self._deviates_since_ns) / NS_PER_S
-        silent_s, trouble = self._supply_log.silent_s(now_ns), self._supply_log.trouble
+        silent_s, read_error = self._supply_log.silent_s(now_ns), self._supply_log.error
         expected_a = f"{self._parameters.minimum_current_a:g} to {limit_a:g} A"
-        tripped_at = self._tripped or ""
-        present: Mapping[AlarmKind, tuple[bool, str]] = {
+        trip_reason = self._tripped or ""
+        states: Mapping[AlarmKind, tuple[bool, str]] = {
             "supply_lost": (
                 self._supply_log.quality(now_ns) == "lost",
-                f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {trouble}",
+                f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {read_error}",
             ),
             "supply_off_unexpectedly": (
                 "supply_off_unexpectedly" in self._latched,
@@ -399,7 +399,7 @@ class SupplyLogger:
             ),
             "supply_switch_off_pending": (
                 self._must_switch_off,
-                f"{SWITCH_OFF_PENDING} {trouble}. {SWITCH_OFF_BY_HAND}",
+                f"{SWITCH_OFF_PENDING} {read_error}. {SWITCH_OFF_BY_HAND}",
             ),
             "supply_limit": (
                 reading is not None and self._is_limited(reading),
@@ -411,33 +411,37 @@ class SupplyLogger:
             ),
             "supply_above_cap": (
                 "supply_above_cap" in self._latched,
-                f"Supply above its cap, output switched off. {tripped_at}. {HOW_TO_SWITCH_ON}",
+                f"Supply above its cap, output switched off. {trip_reason}. {HOW_TO_SWITCH_ON}",
             ),
-            "interlock_tripped": (self._tripped is not None, tripped_at),
-            "supply_unwatched": ("supply_unwatched" in self._latched, tripped_at),
+            "interlock_tripped": (self._tripped is not None, trip_reason),
+            "supply_unwatched": ("supply_unwatched" in self._latched, trip_reason),
         }
         return tuple(
             DriveCondition(name=name, active=active, message=message if active else NORMAL)
-            for name, (active, message) in present.items()
+            for name, (active, message) in states.items()
         )
 
-    def begin_window(self, n_told: int | None = None) -> None:
-        """Start the means anew, once the last row is stored; readings behind the ``n_told`` in it stay."""
-        del self._window[:n_told]
+    def start_window(self, n_stored: int | None = None) -> None:
+        """Restart the means after a row is stored; only readings after its first ``n_stored`` remain."""
+        del self._window[:n_stored]
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Row of a set in ``environment``: means since `begin_window`, totals since hour 0."""
-        now_ns, log_ = self._clock.mono_ns(), self._supply_log
+        """Return the row of a set in ``environment``: means since `start_window`, totals since hour 0."""
+        now_ns, reading_log = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
         currents_a = [reading.current_a for reading in self._window]
-        # A silence that lasts is unknown time already, before a reading ends it.
-        open_s = log_.silent_s(now_ns) if self._newest is not None and log_.too_old(now_ns) else 0.0
+        # A gap that is too long counts as unknown time already before a reading ends it.
+        open_s = (
+            reading_log.silent_s(now_ns)
+            if self._newest is not None and reading_log.is_too_old(now_ns)
+            else 0.0
+        )
         return EnvironmentRow(
             set_index=set_index,
             due_h=due_h,
             supply_state=self.output(),
-            supply_quality=log_.quality(now_ns),
-            supply_age_s=log_.age_s(now_ns),
+            supply_quality=reading_log.quality(now_ns),
+            supply_age_s=reading_log.age_s(now_ns),
             supply_tripped=self._tripped,
             voltage_v=_mean(voltages_v),
             voltage_min_v=min(voltages_v, default=None),
@@ -452,7 +456,7 @@ class SupplyLogger:
 
 
 def no_supply(set_index: int, due_h: float) -> EnvironmentRow:
-    """Row of a set without a supply."""
+    """Return the row of a set without a supply."""
     return EnvironmentRow(
         set_index=set_index,
         due_h=due_h,
@@ -463,7 +467,7 @@ def no_supply(set_index: int, due_h: float) -> EnvironmentRow:
 
 
 def summary(row: EnvironmentRow) -> dict[str, float | str | None]:
-    """Columns of ``environment`` but for what says which set it is."""
+    """Return the columns of ``environment`` without those that identify the set."""
     return {name: value for name, value in values(row).items() if name not in ("id", "set_index", "due_h")}
 
 

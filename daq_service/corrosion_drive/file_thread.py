@@ -1,4 +1,4 @@
-"""Jobs on files in a thread of their own, so that a disk that hangs delays nothing else."""
+"""Thread for jobs on files, so that a disk that hangs delays nothing else."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ FLUSH_WITHIN_S = 5.0
 
 
 class FileThread:
-    """Runs the newest job; one that has not started yet is replaced by a newer one."""
+    """Thread that runs the newest job; a pending job is replaced by a newer one."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -29,13 +29,13 @@ class FileThread:
         self._thread.join(0.0 if self._busy else FLUSH_WITHIN_S)
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run a job as soon as the one before it has ended; never waits."""
+        """Run a job as soon as the previous one has ended; return at once."""
         with self._changed:
             self._job = job
             self._changed.notify_all()
 
     def flush(self, within_s: float = FLUSH_WITHIN_S) -> bool:
-        """Wait until no job is left, for a bounded time; False if one hangs."""
+        """Wait for the end of all jobs, for a limited time; return False if one hangs."""
         with self._changed:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 

@@ -1,8 +1,7 @@
-"""The supervisor's part in the drive: the supply keeps a process that supervises it.
+"""Guard of the supply process, run by the supervisor.
 
-The drive's process switches an unwatched supply off. If it is killed or hangs and the recorder, which is gone
-or hangs, does not replace it, the supervisor does so; and it looks from time to time whether an output that
-was left off has come on.
+The supply process switches an unsupervised supply off. If it is killed or hangs and no recorder replaces it,
+the supervisor does so. It also checks periodically whether an output that was off has come on.
 """
 
 from __future__ import annotations
@@ -13,24 +12,24 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.corrosion_drive.supply_state import read_kept
+from daq_service.corrosion_drive.supply_state import read_stored_state
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 
 log = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 5.0
-"""Longer than a process takes to own the port."""
+CHECK_EVERY_S = 5.0
+"""Longer than the start of a supply process."""
 
 
 class DriveGuard:
-    """Keeps a process of the drive where the output may be on, and starts one at intervals where it was off.
+    """Keeps a supply process running where the output may be on; where it was off, starts one at intervals.
 
     Parameters
     ----------
     remote
-        Does not watch: for the process no recorder is there.
+        Drive with ``watches=False``: the process must not count it as a recorder.
     check_every_s
-        Longest time without a look at an output that was read as off.
+        Longest time without a check of an output that was read as off.
     """
 
     def __init__(
@@ -45,8 +44,8 @@ class DriveGuard:
         self._check_every_s = check_every_s
         self._next_s = self._checked_s = mono_s()
 
-    def look(self) -> None:
-        """Start, meet or replace the process, if that is due."""
+    def check(self) -> None:
+        """Start, connect to or replace the process, if that is due."""
         now_s = self._mono_s()
         if is_owned(self._folder, DRIVE_LOCK) is not False:
             self._checked_s = now_s
@@ -54,9 +53,11 @@ class DriveGuard:
             return
         if now_s < self._next_s:
             return
-        self._next_s, kept = now_s + LOOK_EVERY_S, read_kept(self._folder)
-        may_be_on = kept is not None and (
-            kept.state.command is not None or kept.state.must_switch_off or kept.output != "off"
+        self._next_s, stored_state = now_s + CHECK_EVERY_S, read_stored_state(self._folder)
+        may_be_on = stored_state is not None and (
+            stored_state.state.command is not None
+            or stored_state.state.must_switch_off
+            or stored_state.output != "off"
         )
         if may_be_on or now_s - self._checked_s >= self._check_every_s:
             log.info("no process of the drive runs: one is started to look at the output")

@@ -1,4 +1,4 @@
-"""When an instrument that is logged at intervals is read, and how good its newest reading is."""
+"""Schedule and quality of the readings of an instrument that is logged at intervals."""
 
 from __future__ import annotations
 
@@ -6,57 +6,57 @@ from daq_service.catalogue.rows import ReadingQuality
 from hardware_drivers.nanoseconds import NS_PER_S
 
 LONGEST_GAP_INTERVALS = 3.0
-"""Readings further apart than this many intervals are not joined by a straight line."""
+"""Readings further apart than this many intervals are not interpolated."""
 
 
 class ReadingLog:
-    """When one instrument is read, and how good the newest reading is."""
+    """Schedule of the readings of one instrument, and quality of the newest one."""
 
     def __init__(self, interval_s: float, now_ns: int) -> None:
         self._interval_ns = round(interval_s * NS_PER_S)
         self._longest_ns = round(LONGEST_GAP_INTERVALS * interval_s * NS_PER_S)
         self._due_ns = self._started_ns = now_ns
         self._read_ns: int | None = None
-        self.trouble = ""
+        self.error = ""
 
-    def due(self, now_ns: int) -> bool:
-        """Whether it is time for the next reading."""
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether the next reading is due."""
         return now_ns >= self._due_ns
 
-    def attempted(self, now_ns: int) -> None:
-        """Plan the next attempt an interval after this one was due; what was missed is not made up for."""
+    def record_attempt(self, now_ns: int) -> None:
+        """Schedule the next attempt an interval after this one was due, without catching up missed ones."""
         missed = (now_ns - self._due_ns) // self._interval_ns
         self._due_ns += (missed + 1) * self._interval_ns
 
-    def look_again_at_once(self, now_ns: int) -> None:
-        """Plan the next attempt for the next call."""
+    def read_at_once(self, now_ns: int) -> None:
+        """Schedule the next attempt for the next call."""
         self._due_ns = now_ns
 
-    def look_again_within(self, now_ns: int, seconds: float) -> None:
-        """Plan the next attempt at the latest so many seconds from now."""
+    def read_within(self, now_ns: int, seconds: float) -> None:
+        """Schedule the next attempt within a time, s."""
         self._due_ns = min(self._due_ns, now_ns + round(seconds * NS_PER_S))
 
-    def succeeded(self, now_ns: int) -> None:
-        """Note a reading."""
-        self._read_ns, self.trouble = now_ns, ""
+    def record_success(self, now_ns: int) -> None:
+        """Record a successful reading."""
+        self._read_ns, self.error = now_ns, ""
 
     def silent_s(self, now_ns: int) -> float:
-        """Time since the newest reading, or since the start."""
+        """Return the time since the newest reading, or since the start, s."""
         return (now_ns - (self._started_ns if self._read_ns is None else self._read_ns)) / NS_PER_S
 
     def age_s(self, now_ns: int) -> float | None:
-        """Age of the newest reading, None where there is none."""
+        """Return the age of the newest reading, s; None where there is none."""
         return None if self._read_ns is None else self.silent_s(now_ns)
 
-    def too_old(self, now_ns: int) -> bool:
-        """Whether the newest reading lies further back than an interval may last."""
+    def is_too_old(self, now_ns: int) -> bool:
+        """Return whether the newest reading is older than `LONGEST_GAP_INTERVALS`."""
         return self.silent_s(now_ns) * NS_PER_S > self._longest_ns
 
     def quality(self, now_ns: int) -> ReadingQuality:
-        """Rate the newest reading.
+        """Return the quality of the newest reading.
 
-        good: recent; stale: nobody asked for long, or the last answer is missing; lost: no answer for long.
+        good: recent; stale: not read for long, or the last response is missing; lost: no response for long.
         """
-        if self.trouble:
-            return "lost" if self.too_old(now_ns) else "stale"
-        return "stale" if self._read_ns is None or self.too_old(now_ns) else "good"
+        if self.error:
+            return "lost" if self.is_too_old(now_ns) else "stale"
+        return "stale" if self._read_ns is None or self.is_too_old(now_ns) else "good"

@@ -1,7 +1,7 @@
-"""The recorder's side of a drive in a process of its own: found, started if absent, replaced if it hangs.
+"""Client of the supply process in the recorder: finds it, starts it if absent, replaces it if it hangs.
 
-Nothing here waits for that process but `switch_off_at_end`. The newest answer is shown with its age; as soon
-as the process does not answer, what the output does is unknown. No command `on` is repeated; one without an
+Only `switch_off_at_end` waits for that process. The newest answer is shown with its age; as soon as the
+process does not answer, the state of the output is unknown. A command `on` is never repeated; one without an
 answer is followed by a switch-off.
 """
 
@@ -30,7 +30,13 @@ from daq_service.corrosion_drive.drive import (
     no_supply,
 )
 from daq_service.corrosion_drive.own_process import fingerprint
-from daq_service.corrosion_drive.supply_state import address_of, kept_now, process_of, read_kept, write_kept
+from daq_service.corrosion_drive.supply_state import (
+    address_of,
+    process_of,
+    read_stored_state,
+    stored_state_now,
+    write_stored_state,
+)
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import ConnectionLostError
@@ -38,28 +44,28 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 0.5
+CHECK_EVERY_S = 0.5
 STARTS_AFTER_S = (0.0, 1.0, 2.0, 5.0, 10.0, 30.0)
-"""Before each further start of a process that does not come up; the last one repeats."""
+"""Delays before further starts of a process that does not come up; the last one repeats."""
 COMES_WITHIN_S = 30.0
-"""So long it may take to the first answer without an alarm, and so long a command is kept unsent."""
+"""Longest time to the first answer without an alarm, and for which a command waits unsent."""
 ENDS_WITHIN_S = 2.0
-"""At the end of a test: half of the time that a supervisor leaves its recorder."""
+"""Time at the end of a test: half of the time that a supervisor allows its recorder."""
 PAUSE_S = 0.01
 KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
-"""Ends also a stopped process; Windows ends any process at once by its other name."""
+"""Ends also a suspended process; on Windows, SIGTERM ends any process at once."""
 
 Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
 def answered_within_s(parameters: DriveParameters) -> float:
-    """Return the longest time between a request and its answer: what the process is at, then the request."""
+    """Return the longest time between a request and its answer, s: the current call, then the request."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
 
 @dataclass(slots=True, kw_only=True)
 class _Request:
-    """A request on its way, or waiting to be sent."""
+    """Request that was sent, or waits to be sent."""
 
     values: Mapping[str, Any]
     since_s: float
@@ -67,18 +73,18 @@ class _Request:
 
 
 class RemoteDrive:
-    """The drive in another process; a context manager that leaves that process running.
+    """Drive in the supply process; the context manager leaves that process running.
 
     Parameters
     ----------
     start
         Starts the process, detached, for this folder.
     supply_port
-        Names the supply's port; see `own_process.DriveProcess`.
+        Name of the supply's port; see `own_process.DriveProcess`.
     watches
-        False: it only looks whether the process lives, which then counts the recorder as absent.
+        False: it only checks whether the process is alive, which then counts the recorder as absent.
     mono_s, pause
-        The machine's monotonic time, and how an answer is waited for at the end of a test.
+        The machine's monotonic time, and the wait for an answer at the end of a test.
     kill
         Ends a process that hangs, by its number.
     """
@@ -107,7 +113,7 @@ class RemoteDrive:
         self._pending: Mapping[str, Any] | None = None
         self._commanded: bool | None = None
         self._newest: Mapping[str, Any] | None = None
-        self._newest_s = self._begun_s = self._look_s = self._start_s = mono_s()
+        self._newest_s = self._started_s = self._next_check_s = self._start_s = mono_s()
         self._starts = 0
         self._tripped: str | None = None
 
@@ -115,89 +121,91 @@ class RemoteDrive:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if any(one.values["do"] == "energise" for one in self._sent.values()):
-            self._command("switch off", author="the recorder's end")  # nobody gets the answer to that command
+        if any(request.values["do"] == "energise" for request in self._sent.values()):
+            self._command(
+                "switch off", author="the recorder's end"
+            )  # the answer to that command would be lost
         self._disconnect("the recorder has ended")
-        self._forget()
+        self._abandon_process()
 
-    def _forget(self) -> None:
+    def _abandon_process(self) -> None:
         if self._process is not None and self._process.poll() is None:
-            self._process.returncode = 0  # it outlives us, or was killed: nothing here waits for it
+            self._process.returncode = 0  # it outlives this process, or was killed: nothing waits for it
 
-    def begin(self, state: DriveState) -> None:
-        """Take over the catalogue's state; a process that kept its own state knows more."""
+    def take_over(self, state: DriveState) -> None:
+        """Take over the state in the catalogue, unless a newer one of a supply process is stored."""
         self._tripped = state.tripped
-        kept = read_kept(self._folder)
-        if kept is not None and kept.utc_ns:
+        stored = read_stored_state(self._folder)
+        if stored is not None and stored.utc_ns:
             return
         try:
-            write_kept(self._folder, kept_now(replace(state, command=None)))
+            write_stored_state(self._folder, stored_state_now(replace(state, command=None)))
         except OSError as error:
             log.warning("the drive starts without its charge: %s", error)
 
     # While the recorder is idle ------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Take answers and ask again; start a process where none runs, replace one that hangs; never wait."""
+        """Read answers and send requests; start a missing process, replace one that hangs; never wait."""
         now_s = self._mono_s()
-        for request in [one for one in self._unsent if now_s - one.since_s >= COMES_WITHIN_S]:
+        for request in [request for request in self._unsent if now_s - request.since_s >= COMES_WITHIN_S]:
             self._unsent.remove(request)
             request.reply.error = "the process of the drive does not answer; nothing was sent to it"
             if request.values["do"] != "energise":
                 self._follow_up(request)
         if self._connection is None:
-            if now_s >= self._look_s:
-                self._look_s = now_s + LOOK_EVERY_S
-                self._find(now_s)
+            if now_s >= self._next_check_s:
+                self._next_check_s = now_s + CHECK_EVERY_S
+                self._connect_or_start(now_s)
             return
         try:
             for answer in self._connection.received():
                 if answer.get("released"):
                     self._disconnect("the process of the drive has released the supply")
                     return
-                self._take(answer)
+                self._process_answer(answer)
             for request in self._unsent[:]:
                 self._unsent.remove(request)
                 self._send(request)
-            if not self._sent and now_s >= self._look_s:
-                self._look_s = now_s + LOOK_EVERY_S
-                self._send_now("look" if self._watches else "ping")
+            if not self._sent and now_s >= self._next_check_s:
+                self._next_check_s = now_s + CHECK_EVERY_S
+                self._request("look" if self._watches else "ping")
         except OSError as error:
-            self._lose(error)
+            self._handle_lost_connection(error)
             return
-        waited_s = now_s - min((one.since_s for one in self._sent.values()), default=now_s)
+        waited_s = now_s - min((request.since_s for request in self._sent.values()), default=now_s)
         if waited_s >= answered_within_s(self._parameters):
-            self._replace(f"it has not answered for {waited_s:.0f} s")
+            self._kill_process(f"it has not answered for {waited_s:.0f} s")
 
-    def _find(self, now_s: float) -> None:
+    def _connect_or_start(self, now_s: float) -> None:
         owned = is_owned(self._folder, DRIVE_LOCK)
         if owned is False:
-            starting = self._process is not None and self._process.poll() is None
-            if not starting and now_s >= self._start_s:
+            is_starting = self._process is not None and self._process.poll() is None
+            if not is_starting and now_s >= self._start_s:
                 wait_s = STARTS_AFTER_S[min(self._starts + 1, len(STARTS_AFTER_S) - 1)]
                 self._starts, self._start_s = self._starts + 1, now_s + wait_s
                 log.info("starting the process of the drive")
                 self._process = self._start()
-                self._look_s = now_s  # it comes up within a moment
+                self._next_check_s = now_s  # it comes up soon
             return
         try:
             address = address_of(self._folder)
             self._connection = connect(address.port, bytes.fromhex(address.key))
             if not self._watches:
-                self._send_now("ping")
+                self._request("ping")
             elif address.fingerprint != fingerprint(self._parameters):
-                why = "the recorder has another configuration or version"
-                self._send_now("hand over", why=why, supply_port=self._supply_port)
+                reason = "the recorder has another configuration or version"
+                self._request("hand over", why=reason, supply_port=self._supply_port)
             elif self._pending is not None:
-                self._send_now(**self._pending)
+                self._request(**self._pending)
             elif self._tripped is not None:
-                self._send_now("trip", reason=self._tripped)
+                self._request("trip", reason=self._tripped)
             else:
-                self._send_now("look", commanded=self._commanded)
+                self._request("look", commanded=self._commanded)
         except (OSError, ValueError, LookupError, TypeError) as error:
-            self._lose(error)
+            self._handle_lost_connection(error)
 
-    def _send_now(self, do: str, **values: Any) -> None:
+    def _request(self, do: str, **values: Any) -> None:
         self._send(_Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
@@ -207,7 +215,7 @@ class RemoteDrive:
         self._sent[number] = request
         self._connection.send({"id": number, **request.values})
 
-    def _take(self, answer: Mapping[str, Any]) -> None:
+    def _process_answer(self, answer: Mapping[str, Any]) -> None:
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -218,9 +226,9 @@ class RemoteDrive:
         self._newest, self._newest_s, self._answers = answer, self._mono_s(), True
         self._tripped, self._commanded = answer["row"]["supply_tripped"], answer.get("commanded")
         if request is not None and request.values == self._pending:
-            self._pending = None  # the process itself goes on trying where it failed
+            self._pending = None  # a failed switch-off is retried by the process itself
 
-    def _lose(self, error: Exception) -> None:
+    def _handle_lost_connection(self, error: Exception) -> None:
         log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
@@ -234,14 +242,14 @@ class RemoteDrive:
             self._follow_up(request)
 
     def _follow_up(self, request: _Request) -> None:
-        """Let a switch-off follow a command without an answer, as soon as a process is met."""
+        """Schedule a switch-off after a command without an answer, for the next connection."""
         if request.values["do"] in ("energise", "switch off"):
             self._pending = self._pending or {"do": "switch off", "author": request.values["author"]}
         elif request.values["do"] == "trip":
             self._pending = request.values
 
-    def _replace(self, reason: str) -> None:
-        """Kill a process that hangs; the next look starts another one."""
+    def _kill_process(self, reason: str) -> None:
+        """Kill a process that hangs; the next tick starts another one."""
         try:
             process = process_of(self._folder)
             log.error("the process of the drive (%d) is killed: %s", process, reason)
@@ -264,7 +272,7 @@ class RemoteDrive:
         return self._command("switch off", author=author)
 
     def trip(self, reason: str) -> bool:
-        """Trip the interlock; a process that does not answer now gets it as soon as it does."""
+        """Trip the interlock; the request is repeated until a process answers."""
         self._tripped = self._tripped or reason
         self._command("trip", reason=reason)
         return False
@@ -275,17 +283,17 @@ class RemoteDrive:
             values["until_boot_ns"] = until_ns
         request = _Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply())
         self._unsent.append(request)
-        self._look_s = min(self._look_s, self._mono_s())
+        self._next_check_s = min(self._next_check_s, self._mono_s())
         self.tick()
         return request.reply
 
     def switch_off_at_end(self) -> None:
-        """Switch off; a process that does not answer soon is replaced by one that begins with that.
+        """Switch off; a process that does not answer soon is replaced by one that starts with a switch-off.
 
         Raises
         ------
         ConnectionLostError
-            What the output does is unknown; the switch-off is pending.
+            The state of the output is unknown; the switch-off is pending.
         """
         reply, deadline_s = self.switch_off("the end of the test"), self._mono_s() + ENDS_WITHIN_S
         while not (reply.done or reply.error) and self._mono_s() < deadline_s:
@@ -294,49 +302,51 @@ class RemoteDrive:
         if reply.done:
             return
         if reply.error and self._connection is not None:
-            raise ConnectionLostError(reply.error)  # it answers, and goes on trying
+            raise ConnectionLostError(reply.error)  # it answers, and retries itself
         if is_owned(self._folder, DRIVE_LOCK):
-            self._replace("it does not answer at the end of the test")
-        kept = read_kept(self._folder)
-        state = DriveState() if kept is None else kept.state
+            self._kill_process("it does not answer at the end of the test")
+        stored = read_stored_state(self._folder)
+        state = DriveState() if stored is None else stored.state
         try:
-            write_kept(self._folder, kept_now(replace(state, command=None, must_switch_off=True)))
+            write_stored_state(
+                self._folder, stored_state_now(replace(state, command=None, must_switch_off=True))
+            )
         except OSError as error:
             log.error("the drive's next process finds no switch-off to do: %s", error)
-        self._forget()
+        self._abandon_process()
         self._process = self._start()
         raise ConnectionLostError("the process of the drive did not answer; another one switches off")
 
     # Readings and conditions ---------------------------------------------------------------------
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Return the conditions as answered last, but for the loss of the process that answers."""
+        """Return the conditions of the newest answer, plus those of a process that does not answer."""
         answered = () if self._newest is None else self._newest["conditions"]
-        found = {condition["name"]: DriveCondition(**condition) for condition in answered}
-        tripped = found.get("interlock_tripped")
+        conditions = {condition["name"]: DriveCondition(**condition) for condition in answered}
+        tripped = conditions.get("interlock_tripped")
         if self._tripped is not None and (tripped is None or not tripped.active):
-            found["interlock_tripped"] = DriveCondition(
+            conditions["interlock_tripped"] = DriveCondition(
                 name="interlock_tripped", active=True, message=self._tripped
             )
-        if self._pending is not None or any(one.values["do"] != "energise" for one in self._unsent):
-            found["supply_switch_off_pending"] = DriveCondition(
+        if self._pending is not None or any(request.values["do"] != "energise" for request in self._unsent):
+            conditions["supply_switch_off_pending"] = DriveCondition(
                 name="supply_switch_off_pending",
                 active=True,
                 message=f"{SWITCH_OFF_PENDING} Its process does not answer. {SWITCH_OFF_BY_HAND}",
             )
-        missing_s = self._mono_s() - (self._begun_s if self._newest is None else self._newest_s)
-        gone = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
-        if gone or missing_s >= answered_within_s(self._parameters):
-            found["supply_lost"] = DriveCondition(
+        missing_s = self._mono_s() - (self._started_s if self._newest is None else self._newest_s)
+        is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
+        if is_lost or missing_s >= answered_within_s(self._parameters):
+            conditions["supply_lost"] = DriveCondition(
                 name="supply_lost",
                 active=True,
                 message="Supply not responding, output state unknown. Its process has not answered for "
                 f"{missing_s:.0f} s.",
             )
-        return tuple(found.values())
+        return tuple(conditions.values())
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
-        """Return the row of a set as answered last; without an answer the output is unknown, and its time."""
+        """Return the row of a set from the newest answer; without one, output and charge are unknown."""
         unknown = replace(
             no_supply(set_index, due_h),
             supply_state="unknown",
@@ -361,10 +371,10 @@ class RemoteDrive:
             unknown_s=None if row.unknown_s is None else row.unknown_s + since_s,
         )
 
-    def begin_window(self) -> None:
-        """Start the means again with the readings that were not in the last row."""
+    def start_window(self) -> None:
+        """Restart the means with the readings that were not in the last row."""
         if self._connection is not None and self._newest is not None:
             try:
-                self._send_now("begin window", window_length=self._newest["window_length"])
+                self._request("begin window", window_length=self._newest["window_length"])
             except OSError as error:
-                self._lose(error)
+                self._handle_lost_connection(error)

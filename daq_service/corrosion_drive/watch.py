@@ -1,8 +1,8 @@
-"""The corrosion drive beside the line: read while the recorder is idle, a row a set, alarms at once.
+"""Supply and climate in the recorder: read while it is idle, one row per set, alarms at once.
 
-A `SupplyDrive` measures and switches, as a rule in a process of its own; here its conditions become alarms in
-the catalogue the moment they change, so that an interlock that tripped between two sets is known, also after
-a crash. The climate probe is read here.
+A `SupplyDrive` measures and switches, usually in the supply process; here its conditions become alarms in the
+catalogue as soon as they change, so that an interlock trip between two sets is stored, also after a crash.
+The climate probe is read here.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SEVERITIES: Mapping[str, Severity] = {
     "climate_not_responding": "low",
 }
 
-Awaited = Callable[[], str | None]
+PendingReply = Callable[[], str | None]
 SupplyDrive = SupplyLogger | RemoteDrive
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
 
@@ -60,12 +60,12 @@ class DriveWatch:
     ----------
     alarms
         The recorder's current alarms by position and kind.
-    carry
-        Adds to a transaction what becomes of an alarm by a condition.
+    update_alarm
+        Updates an alarm by a condition, in a transaction.
     store
-        Stores a transaction and takes its alarms over.
+        Stores a transaction and takes over its alarms.
     remote
-        The drive in a process of its own; None: the rig's supply is driven here.
+        Drive in the supply process; None: the rig's supply is driven here.
     """
 
     def __init__(
@@ -74,19 +74,19 @@ class DriveWatch:
         rig: Rig,
         catalogue: Catalogue,
         alarms: Alarms,
-        carry: Callable[[Condition, Moment, Transaction], None],
+        update_alarm: Callable[[Condition, Moment, Transaction], None],
         store: Callable[[Transaction], None],
         remote: RemoteDrive | None = None,
     ) -> None:
-        self._carry = carry
+        self._update_alarm = update_alarm
         self._store = store
         self._clock = rig.clock
         self._off_at_end = settings.driven is not None and settings.driven.off_at_end
         self._drive: SupplyDrive | None = remote
         if settings.driven is not None:
-            state = _state_before(settings.driven, catalogue, alarms)
+            state = _restored_state(settings.driven, catalogue, alarms)
             if remote is not None:
-                remote.begin(state)
+                remote.take_over(state)
             elif rig.supply is not None:
                 self._drive = SupplyLogger(rig.supply, rig.clock, settings.driven, state)
         self._climate = None
@@ -95,16 +95,16 @@ class DriveWatch:
 
     @property
     def has_supply(self) -> bool:
-        """Whether there is anything to switch."""
+        """Return whether there is a supply."""
         return self._drive is not None
 
     def tick(self, hour: float) -> None:
-        """Read what is due, and store what became of an alarm."""
+        """Read what is due, and store changed alarms."""
         if self._climate is not None:
             self._climate.tick()
         if self._drive is not None:
             self._drive.tick()
-        self._carry_alarms(hour)
+        self._update_alarms(hour)
 
     def _conditions(self) -> Iterator[DriveCondition]:
         if self._climate is not None:
@@ -113,67 +113,69 @@ class DriveWatch:
             yield DriveCondition(name="climate_not_responding", active=active, message=message or NORMAL)
         yield from () if self._drive is None else self._drive.conditions()
 
-    def _carry_alarms(self, hour: float) -> None:
+    def _update_alarms(self, hour: float) -> None:
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = Transaction()
-        for found in self._conditions():
+        for drive_condition in self._conditions():
             condition = Condition(
                 position=None,
-                kind=found.name,
+                kind=drive_condition.name,
                 family="device",
-                severity=SEVERITIES[found.name],
-                present=found.active,
-                message=found.message,
-                proof=self.summary() if found.active else {},
+                severity=SEVERITIES[drive_condition.name],
+                present=drive_condition.active,
+                message=drive_condition.message,
+                proof=self.summary() if drive_condition.active else {},
             )
-            self._carry(condition, moment, transaction)
+            self._update_alarm(condition, moment, transaction)
         if transaction.events:
             try:
                 self._store(transaction)
-            except StorageError as error:  # the next look tries again: what was not stored has not changed
+            except StorageError as error:  # the next tick tries again, as the stored alarm is unchanged
                 log.warning("an alarm of the drive is not stored yet: %s", error)
 
     # For the rows of a set -----------------------------------------------------------------------
 
     def summary(self) -> Mapping[str, float | str | None]:
-        """Return what supply and probe said since the last stored set."""
+        """Return the values of supply and probe since the last stored set."""
         return summary(self._row(0, 0.0))
 
     def add_row(self, transaction: Transaction, due: DueSet, moment: Moment) -> None:
-        """Add a set's row; the means begin anew after it."""
+        """Add the row of a set, and restart the means."""
         transaction.add_environment(self._row(due.set_index, due.due_h), moment)
         if self._drive is not None:
-            self._drive.begin_window()
+            self._drive.start_window()
 
     def _row(self, set_index: int, due_h: float) -> EnvironmentRow:
         row = no_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
-        return row if self._climate is None else self._climate.added_to(row)
+        return row if self._climate is None else self._climate.add_to_row(row)
 
     # Commands ------------------------------------------------------------------------------------
 
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
-    ) -> Awaited:
-        """Switch the drive on at a person's command; see `_sent`."""
+    ) -> PendingReply:
+        """Switch the drive on at a person's command; see `_send`."""
 
         def energise(drive: SupplyDrive) -> Reply:
             return drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
 
         done, failed = "the supply is on, read back as commanded", "the supply was not switched on: {error}"
-        return self._sent(energise, hour, done, failed)
+        return self._send(energise, hour, done, failed)
 
-    def supply_off(self, author: str, hour: float) -> Awaited:
-        """Switch the drive off at a person's command; see `_sent`."""
+    def supply_off(self, author: str, hour: float) -> PendingReply:
+        """Switch the drive off at a person's command; see `_send`."""
         done, failed = "the supply is off, read back", "the supply may be on: {error}; switch it off by hand"
-        return self._sent(lambda drive: drive.switch_off(author), hour, done, failed)
+        return self._send(lambda drive: drive.switch_off(author), hour, done, failed)
 
-    def _sent(self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str) -> Awaited:
-        """Send a command; what is returned returns the answer as soon as there is one, and None before.
+    def _send(
+        self, command: Callable[[SupplyDrive], Reply], hour: float, done: str, failed: str
+    ) -> PendingReply:
+        """Send a command and return a function that returns its reply, or None before there is one.
 
         Raises
         ------
         ValueError
-            It was not done, and why; also from what is returned.
+            The command failed, with the reason; also raised by the returned function.
         """
         assert self._drive is not None, "a test without a supply forbids the command"
         try:
@@ -181,24 +183,24 @@ class DriveWatch:
         except InstrumentError as error:
             reply = Reply(error=str(error))
 
-        def answer() -> str | None:
+        def poll_reply() -> str | None:
             if reply.error:
                 raise ValueError(failed.format(error=reply.error))
             if not reply.done:
                 return None
-            self._carry_alarms(hour)
+            self._update_alarms(hour)
             return done
 
-        return answer
+        return poll_reply
 
     def trip(self, reason: str, hour: float) -> None:
-        """Trip the interlock: a hole lets the solution through and the current with it."""
+        """Trip the interlock, for a possible hole: it lets the solution through, and with it the current."""
         if self._drive is not None:
             self._drive.trip(reason)
-            self._carry_alarms(hour)
+            self._update_alarms(hour)
 
     def end(self) -> str:
-        """Switch off at the end of a test if configured; what was done, empty if nothing."""
+        """Switch off at the end of a test if configured; return the result, empty if nothing was done."""
         if not self._off_at_end or self._drive is None:
             return ""
         try:
@@ -209,13 +211,13 @@ class DriveWatch:
         return "the supply is off"
 
 
-def _state_before(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
-    """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
+def _restored_state(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+    """Return the state of the last recorder; the active alarm shows whether the interlock has tripped."""
     state = DriveState()
     row = None if supply is None else catalogue.last_environment()
-    told = None if row is None else catalogue.last_event("environment")
-    if supply is not None and told is not None:
-        state = restored_state(row, written_utc_ns=told.utc_ns, parameters=supply)
+    last_event = None if row is None else catalogue.last_event("environment")
+    if supply is not None and last_event is not None:
+        state = restored_state(row, written_utc_ns=last_event.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
-    standing = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
-    return replace(state, tripped=tripped.message if tripped is not None and standing else None)
+    is_active = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
+    return replace(state, tripped=tripped.message if tripped is not None and is_active else None)

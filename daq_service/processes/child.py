@@ -1,4 +1,4 @@
-"""What a child process does for itself: hear signals, write its log, leave when its supervisor is gone."""
+"""Functions of a child process: handle signals, write its log, leave when its supervisor is gone."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ LOG_BYTES, LOG_FILES = 5_000_000, 5
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Give an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set.
+    """Yield an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set.
 
     A signal that is ignored at the start stays ignored: `nohup` starts a program that outlives its terminal.
 
     Raises
     ------
     EndedByLibraryError
-        A driver or a library raised what would end the process. Signals raise nothing in here.
+        A driver or a library raised what would end the process. Signals raise nothing here.
     """
     stop = threading.Event()
-    # A signal may come while this very thread holds the event's lock, which it would wait for then; this
-    # queue alone may be put into from within a handler.
-    heard: SimpleQueue[int | None] = SimpleQueue()
+    # A signal may come while this thread holds the event's lock: a handler that sets the event would
+    # deadlock. Only this queue may be written to from a handler.
+    signals: SimpleQueue[int | None] = SimpleQueue()
 
-    def set_when_heard() -> None:
-        while heard.get() is not None:
+    def set_on_signal() -> None:
+        while signals.get() is not None:
             stop.set()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         del frame
-        heard.put(number)
+        signals.put(number)
 
-    setter = threading.Thread(target=set_when_heard, name="signals", daemon=True)
+    setter = threading.Thread(target=set_on_signal, name="signals", daemon=True)
     setter.start()
     names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
@@ -65,20 +65,21 @@ def stop_on_signals() -> Iterator[threading.Event]:
     try:
         yield stop
     except BaseException as ending:
-        # An EOFError would pass for the end of a person's input; a command ends so once it has heard a stop.
-        heard_stop = isinstance(ending, KeyboardInterrupt) and stop.is_set()
-        if heard_stop or (isinstance(ending, Exception) and not isinstance(ending, EOFError)):
+        # An EOFError would be taken for the end of a person's input; KeyboardInterrupt ends a command
+        # once it has received a stop signal.
+        stopped_by_signal = isinstance(ending, KeyboardInterrupt) and stop.is_set()
+        if stopped_by_signal or (isinstance(ending, Exception) and not isinstance(ending, EOFError)):
             raise
         raise EndedByLibraryError(ending) from ending
     finally:
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)  # None: of a library in C
-        heard.put(None)
+        signals.put(None)
         setter.join()
 
 
 def announced(run: Callable[[], int], *, supervised: bool) -> int:
-    """Return the exit code of a child, which is announced to its supervisor first, also that of an error.
+    """Run a child, announce its exit code (also that of an error) to the supervisor and return the code.
 
     A code without announcement counts as a crash there: a library may end the process with any code.
     """
@@ -93,9 +94,9 @@ def announced(run: Callable[[], int], *, supervised: bool) -> int:
 
 
 class LogFile(logging.handlers.RotatingFileHandler):
-    """A rotated log that ends nothing: a line that the disk does not take is counted and told later.
+    """Rotated log whose errors end nothing: a line that the disk refuses is counted and reported later.
 
-    Windows renames no file that somebody reads: then the log grows on until it can be rotated.
+    Windows does not rename a file that another process reads: the log then grows until it can be rotated.
     """
 
     def __init__(self, path: Path) -> None:
@@ -110,23 +111,23 @@ class LogFile(logging.handlers.RotatingFileHandler):
         self.lost = 0
 
     def doRollover(self) -> None:  # noqa: N802 - logging's name
-        """Rotate, or go on with the present file."""
+        """Rotate the log, or continue with the present file."""
         try:
             super().doRollover()
         except OSError:
             self.stream = self._open()
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
-        """Count a line that was not written; logging itself would print a traceback for each."""
+        """Count a line that was not written, where logging would print a traceback for each."""
         del record
         self.lost += 1
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line, and before it how many were lost since the last one."""
+        """Write a line, preceded by the number of lines lost since the last one."""
         lost, self.lost = self.lost, 0
         if lost:
-            told = {"name": __name__, "levelno": logging.WARNING, "levelname": "WARNING"}
-            super().emit(logging.makeLogRecord({**told, "msg": f"{lost} lines could not be written here"}))
+            warning = {"name": __name__, "levelno": logging.WARNING, "levelname": "WARNING"}
+            super().emit(logging.makeLogRecord({**warning, "msg": f"{lost} lines could not be written here"}))
         if self.lost:
             self.lost = lost + 1
         else:
@@ -134,7 +135,7 @@ class LogFile(logging.handlers.RotatingFileHandler):
 
 
 def log_to(path: Path) -> None:
-    """Rotated log file, and a file of its own for crashes below Python; a log that cannot be is a warning."""
+    """Log to a rotated file, and crashes below Python to a second file; print a warning where that fails."""
     handler = LogFile(path)
     handler.setFormatter(
         OneLineFormatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
@@ -142,10 +143,10 @@ def log_to(path: Path) -> None:
     root = logging.getLogger()
     root.addHandler(handler)
     root.setLevel(logging.INFO)
-    logging.captureWarnings(True)  # a terminal that is held would hold the line
-    # Alembic and numba tell every step at this level.
-    for talkative in ("alembic", "numba"):
-        logging.getLogger(talkative).setLevel(logging.WARNING)
+    logging.captureWarnings(True)  # a held terminal would block the recording thread
+    # Alembic and numba log every step at this level.
+    for verbose_package in ("alembic", "numba"):
+        logging.getLogger(verbose_package).setLevel(logging.WARNING)
     try:
         path.parent.mkdir(exist_ok=True)
         path.touch()
@@ -156,7 +157,7 @@ def log_to(path: Path) -> None:
 
 @contextmanager
 def log_in_thread(path: Path, *, flush_within_s: float = 2.0) -> Iterator[None]:
-    """Write the log as `log_to` does, in a thread: a disk that hangs delays no line of the caller."""
+    """Write the log as `log_to` does, in a thread, so that a disk that hangs does not delay the caller."""
     log_to(path)
     root = logging.getLogger()
     handler, lines = root.handlers[-1], SimpleQueue[logging.LogRecord]()
@@ -171,39 +172,39 @@ def log_in_thread(path: Path, *, flush_within_s: float = 2.0) -> Iterator[None]:
 
 
 ANNOUNCEMENT = "ends"
-"""Event: the process ends now, with the exit code ``code``."""
+"""Event that announces the end of the process with the exit code ``code``."""
 FAREWELL = b"."
-"""What a supervisor sends before it closes a child's pipe: an end without it means that it was killed."""
+"""Sent by a supervisor before it closes a child's pipe; without it the supervisor was killed."""
 
 
 def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
-    """In a child: set ``stop`` once the supervisor's pipe (standard input) closes.
+    """Set ``stop`` in a child once the supervisor's pipe (standard input) closes.
 
     Returns
     -------
     threading.Event
-        Set before ``stop`` where the supervisor is gone without a word.
+        Set before ``stop`` where the supervisor ended without `FAREWELL`.
     """
     pipe = sys.stdin.fileno()
-    left_alone = threading.Event()
+    supervisor_killed = threading.Event()
 
-    def watch() -> None:
-        # Below Python's buffer, whose lock a thread waiting in it would take into the interpreter's shutdown.
+    def wait_for_close() -> None:
+        # Not through Python's buffer: a thread that waits in it holds its lock at the interpreter's shutdown.
         if os.read(pipe, 1) != FAREWELL:
-            left_alone.set()
+            supervisor_killed.set()
         stop.set()
 
-    threading.Thread(target=watch, name="supervisor-pipe", daemon=True).start()
-    return left_alone
+    threading.Thread(target=wait_for_close, name="supervisor-pipe", daemon=True).start()
+    return supervisor_killed
 
 
-def start_detached(command: Sequence[str], given: bytes) -> subprocess.Popen[bytes]:
-    """Start a program that no signal to this one's terminal reaches and that outlives it.
+def start_detached(command: Sequence[str], standard_input: bytes) -> subprocess.Popen[bytes]:
+    """Start a program that outlives this one and gets no signals from this one's terminal.
 
     Parameters
     ----------
-    given
-        What it reads from its standard input.
+    standard_input
+        Content of its standard input.
     """
     flags = 0
     if sys.platform == "win32":
@@ -217,16 +218,16 @@ def start_detached(command: Sequence[str], given: bytes) -> subprocess.Popen[byt
         creationflags=flags,
     )
     assert process.stdin is not None
-    with suppress(OSError), process.stdin as standard_input:  # it has ended already: its log says why
-        standard_input.write(given)
+    with suppress(OSError), process.stdin as pipe:  # it has ended already: its log says why
+        pipe.write(standard_input)
     return process
 
 
 def notify_supervisor(event: str, **values: object) -> None:
-    """In a child: one JSON line to the supervisor.
+    """Send one JSON line from a child to its supervisor.
 
-    A supervisor that is gone is no error here, nor one that stands still: a line that its full pipe does
-    not take is dropped (the kernel takes one of this length whole or not at all).
+    A supervisor that is gone or suspended is no error here: a line that does not fit into the full pipe is
+    dropped (the kernel takes a line of this length completely or not at all).
     """
     pipe = sys.stdout.fileno()
     if hasattr(os, "set_blocking") and sys.platform != "win32":

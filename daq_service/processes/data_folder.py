@@ -1,8 +1,8 @@
-"""The data folder: made, tested for writing, and owned by one recorder at a time.
+"""Data folder: creation, write test, and ownership by one recorder at a time.
 
-The owner holds an OS lock on ``recorder.lock`` for as long as its process lives: a crash frees it,
-nobody has to clean up. The lock alone says whether a recorder runs. The file's text only tells a person who
-owns it.
+The owner holds an OS lock on ``recorder.lock`` for as long as its process lives: a crash releases it and
+no cleanup is needed. Only the lock shows whether a recorder runs. The file's text names the owner for a
+person.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ if sys.platform == "win32":
     import msvcrt
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process, at its present offset; OSError if somebody holds it."""
+        """Lock an open file for this process, at its present offset; OSError if another process holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
     def is_locked(file: IO[bytes]) -> bool:
-        """Tell whether somebody else holds it; another who asks holds it for an instant."""
+        """Return whether another process holds the lock; a concurrent check holds it for an instant."""
         try:
             patiently(lambda: try_lock(file), patience_s=0.1)
         except OSError:
@@ -56,11 +56,11 @@ else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
-        """Lock an open file for this process; OSError if somebody holds it."""
+        """Lock an open file for this process; OSError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     def is_locked(file: IO[bytes]) -> bool:
-        """Tell whether somebody else holds it; those who ask do not hinder each other."""
+        """Return whether another process holds the lock; concurrent checks do not disturb each other."""
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -69,7 +69,7 @@ else:
 
 
 class FolderGoneError(StorageUnavailableError):
-    """The folder of a test that has begun is not there."""
+    """The folder of a test that has started is missing."""
 
 
 _OWNER_OFFSET = 1
@@ -77,10 +77,10 @@ _OWNER_OFFSET = 1
 
 
 CONFIGURATION_FILE = "configuration.json"
-"""What a test that nobody wrote a configuration for was run with."""
+"""Configuration of a test that was run without a configuration file."""
 
 BACKUP_FILE = "backup.json"
-"""In a folder that `solimon backup` made: which test it is of."""
+"""Source test of a folder that `solimon backup` made."""
 
 OWN_NAMES = frozenset(
     {
@@ -116,7 +116,7 @@ WRITE_TEST = ".write-test-"
 
 
 def new_folder(purpose: str) -> Path:
-    """Return a folder here that does not exist yet, named by its purpose and the time."""
+    """Return a path in the working directory that does not exist yet, named by purpose and time."""
     base = Path.cwd() / f"solimon-{purpose}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     folder, number = base, 1
     while folder.exists():
@@ -125,13 +125,13 @@ def new_folder(purpose: str) -> Path:
     return folder
 
 
-def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
-    """Make the folder and prove that files can be made in it.
+def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
+    """Create the data folder and check that it can be written.
 
     Parameters
     ----------
-    anew
-        False where a test has begun: a folder that is gone then must come back, and is not made in its place.
+    may_create
+        False where a test has started: a missing folder must be restored and is not created again.
 
     Raises
     ------
@@ -142,8 +142,8 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
     StorageError
         A file is in the way, the folder holds something else, or is on a network.
     """
-    # Not the lock: a recorder that was killed while it started has made none.
-    if not anew and not (folder / "sets").is_dir():
+    # The lock is no evidence: a recorder that was killed during its start has not created it.
+    if not may_create and not (folder / "sets").is_dir():
         raise FolderGoneError(
             f"{folder} is gone, or another one in its place; bring back the test's own folder"
         )
@@ -166,7 +166,7 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
         remove_quietly(probe)
         (folder / "sets").mkdir(exist_ok=True)
         for name in ("live", "logs"):
-            _make_for_hints(folder / name)
+            _create_hint_folder(folder / name)
     except OSError as error:
         raise StorageUnavailableError(
             f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
@@ -174,7 +174,7 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
         ) from error
 
 
-def _make_for_hints(folder: Path) -> None:
+def _create_hint_folder(folder: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -182,15 +182,15 @@ def _make_for_hints(folder: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed writers left; for the owner alone, beside whom nobody writes hints."""
-    for place in (folder, folder / "live"):
+    """Remove temporary files of killed writers; only the owner may call this, as only it writes hints."""
+    for directory in (folder, folder / "live"):
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
-            for path in place.glob(pattern):
+            for path in directory.glob(pattern):
                 remove_quietly(path)
 
 
 def _refuse_foreign_files(folder: Path) -> None:
-    """Refuse a folder that is somebody's documents: only an empty one, or one of ours, is used."""
+    """Raise StorageError unless the folder is empty or a data folder of solimon."""
     if foreign := _foreign_file(folder):
         raise StorageError(
             f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
@@ -199,18 +199,18 @@ def _refuse_foreign_files(folder: Path) -> None:
 
 
 def _foreign_file(folder: Path) -> str:
-    """Name a file of a folder that is not ours; empty where it is ours, or nobody's yet."""
+    """Return the name of a foreign file; empty where the folder is a data folder of solimon or is empty."""
     names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     return min(names) if names and not names & OWN_NAMES else ""
 
 
 def refuse_other_folders(folder: Path) -> None:
-    """For whoever only looks, or gives an order: a mistyped folder is neither made nor written into.
+    """Raise UsageError where a folder is no data folder; a mistyped folder is neither made nor written.
 
     Raises
     ------
     UsageError
-        It is not there, is no folder, or holds something else; an empty one is taken for one of ours.
+        The folder is missing, is no folder, or holds foreign files; an empty one is accepted.
     """
     remedy = (
         "name the folder of the test with --data-dir, or its configuration; only `solimon run`, `record` "
@@ -227,7 +227,7 @@ def refuse_other_folders(folder: Path) -> None:
 
 
 def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
-    """Hold the recorder's lock; `BusyError` if another one does, also after ``patience_s``."""
+    """Hold the recorder's lock; raise `BusyError` if another recorder holds it for ``patience_s``."""
     text = f"process {os.getpid()}"
     return hold_lock(folder, LOCK_FILE, text, who="recorder", patience_s=patience_s)
 
@@ -242,19 +242,18 @@ def hold_lock(
     mode: int | None = None,
     patience_s: float = PATIENCE_S,
 ) -> Iterator[IO[bytes]]:
-    """Hold a lock of the folder, with a text for whoever reads it meanwhile; gives its open file.
+    """Hold a lock of the folder and yield its open file; ``text`` in it describes the owner.
 
     Parameters
     ----------
     text
-        Its first line names the owner to a person; what comes behind is told to nobody.
+        First line: the owner, for a person. The rest is never shown.
     who
-        What kind of process holds it.
+        Kind of process that holds the lock.
     mode
         Rights of the file; None: those of the user's other files.
     patience_s
-        How long a lock that is held is tried again: whoever asks whether somebody records holds it for an
-        instant (`is_owned`).
+        How long a held lock is retried: a check for a running recorder (`is_owned`) holds it for an instant.
 
     Raises
     ------
@@ -295,12 +294,12 @@ def hold_lock(
 
 @contextmanager
 def one_at_a_time(path: Path) -> Iterator[None]:
-    """Let processes and threads change a file one after the other, by a lock beside it.
+    """Serialize changes of a file by processes and threads with a lock file next to it.
 
     Raises
     ------
     OSError
-        The lock cannot be made, or somebody held it all the time.
+        The lock cannot be created, or another process held it all the time.
     """
     lock = path.with_suffix(".lock")
     with patiently(lambda: lock.open("a+b")) as file:
@@ -310,12 +309,12 @@ def one_at_a_time(path: Path) -> Iterator[None]:
 
 
 def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
-    """Tell whether a recorder runs on a folder; None where its lock cannot be looked at.
+    """Return whether a recorder runs on a folder; None where its lock cannot be read.
 
     Parameters
     ----------
     name
-        Another lock: whether somebody holds that one.
+        Name of another lock to check.
     """
     try:
         with (folder / name).open("rb") as file:
@@ -328,8 +327,8 @@ def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
 
 
 def lock_text(folder: Path, name: str) -> str:
-    """Return what the owner of a lock wrote; a sentence where it cannot be read."""
-    # On Windows the locked byte cannot be read by others, so what stands behind it is read alone.
+    """Return the text of the owner of a lock, or a sentence where it cannot be read."""
+    # On Windows the locked byte cannot be read by others, so only the bytes after it are read.
     try:
         with (folder / name).open("rb", buffering=0) as file:
             file.seek(_OWNER_OFFSET)
@@ -339,7 +338,7 @@ def lock_text(folder: Path, name: str) -> str:
 
 
 def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) -> Path:
-    """``--data-dir``, or the configuration's folder relative to its file."""
+    """Return ``--data-dir``, or the configuration's folder relative to its file."""
     if data_dir is not None:
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
@@ -347,10 +346,10 @@ def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) 
 
 
 def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
-    """Read the configuration and say which data folder it means.
+    """Read the configuration and return it with its data folder.
 
-    The file that a folder keeps for itself is a hint: where it is torn, foreign or gone, the folder's
-    catalogue knows the configuration that its test began with.
+    The configuration file in a data folder is a hint: where it is torn, foreign or missing, the configuration
+    stored in the catalogue is used.
 
     Raises
     ------
@@ -360,45 +359,47 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
     try:
         settings = load_settings(config)
     except UsageError as error:
-        kept = None if config is None or config.name != CONFIGURATION_FILE else _kept_settings(config.parent)
-        if kept is None:
+        stored = (
+            None if config is None or config.name != CONFIGURATION_FILE else _stored_settings(config.parent)
+        )
+        if stored is None:
             raise
         log.warning("going on with the configuration that the catalogue keeps: %s", error)
-        settings = kept
+        settings = stored
     return settings, data_folder(settings, config, data_dir)
 
 
 def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
-    """Read the configuration for whoever only looks: of a folder alone, the one that its catalogue keeps.
+    """Read the configuration for reading commands; for a folder alone, the one in its catalogue.
 
     Raises
     ------
     UsageError
         The configuration is refused, with the reason.
     """
-    kept = None if config is not None or data_dir is None else _kept_settings(data_dir)
+    stored = None if config is not None or data_dir is None else _stored_settings(data_dir)
     return (
         settings_and_folder(config, data_dir)
-        if kept is None or data_dir is None
-        else (kept, data_dir.absolute())
+        if stored is None or data_dir is None
+        else (stored, data_dir.absolute())
     )
 
 
-def _kept_settings(folder: Path) -> Settings | None:
-    """Read them where experiment.json, or else the catalogue, keeps them."""
+def _stored_settings(folder: Path) -> Settings | None:
+    """Read the settings stored in experiment.json, or else in the catalogue."""
     try:
-        kept = read_experiment(folder)
-        if kept is None:
+        stored = read_experiment(folder)
+        if stored is None:
             with open_catalogue(folder) as catalogue:
-                kept = catalogue.experiment_row()
-        return Settings(**renamed(kept.configuration))
+                stored = catalogue.experiment_row()
+        return Settings(**renamed(stored.configuration))
     except (CatalogueError, ValidationError) as error:
         log.debug("%s keeps no configuration for this version: %s", folder, error)
         return None
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the file that the children read, and `solimon run` later; pace and end may change."""
+    """Write the configuration for the child processes and a later `solimon run`; pace and end may change."""
     config = folder / CONFIGURATION_FILE
     content = settings.model_dump_json(indent=1).encode()
     try:

@@ -1,4 +1,4 @@
-"""How full the volume of a data folder is, what follows from that, and the space kept back for a stop."""
+"""Free space of the volume of a data folder: levels, forecast, and the reserve for an orderly stop."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ log = logging.getLogger(__name__)
 RESERVE_FILE = "reserve"
 LOOK_EVERY_S = 10.0
 LEAVES_AT = 1.1
-"""A level ends a tenth above its limit, so that it does not come and go."""
+"""Hysteresis: a level ends a tenth above its limit."""
 Level = Literal["ample", "warn", "alarm", "stop"]
 LEVELS: tuple[Level, ...] = ("ample", "warn", "alarm", "stop")
 _CHUNK = bytes(2**20)
 
 Usage = Callable[[Path], tuple[int, int]]
-"""Free and all bytes of the volume on which a folder lies."""
+"""Returns the free and the total bytes of the volume of a folder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiskSpace:
-    """The volume at a moment."""
+    """Free and total bytes of the volume at a moment."""
 
     free_bytes: int
     total_bytes: int
     level: Level
 
     @property
-    def told(self) -> str:
-        """In words."""
+    def description(self) -> str:
+        """Free space as a sentence."""
         share = self.free_bytes / self.total_bytes if self.total_bytes else 0.0
         return f"{self.free_bytes / 1e9:.2f} GB ({share:.1%}) of the volume are free"
 
 
 def disk_usage(folder: Path) -> tuple[int, int]:
-    """Ask the system; of a folder that is to be made, where it will lie."""
-    found = shutil.disk_usage(next(place for place in (folder, *folder.parents) if place.exists()))
-    return found.free, found.total
+    """Return the free and the total bytes; for a folder that does not exist yet, of its nearest parent."""
+    usage = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
+    return usage.free, usage.total
 
 
 def disk_space(
     folder: Path, settings: StorageSettings, *, before: Level = "ample", usage: Usage = disk_usage
 ) -> DiskSpace:
-    """Measure the volume and judge it; a level that was reached ``before`` is left `LEAVES_AT` only."""
+    """Measure the volume and return its level; a level reached ``before`` ends only at `LEAVES_AT`."""
     free, total = usage(folder)
     limits: dict[Level, float] = {
         "stop": settings.stop_free_fraction,
@@ -73,26 +73,26 @@ def disk_space(
 
 
 def refusal(space: DiskSpace, settings: StorageSettings) -> str:
-    """Say why nothing is stored now; empty: there is room."""
+    """Return the reason why nothing is stored now; empty: there is room."""
     if space.level != "stop":
         return ""
     return (
-        f"{space.told}, and below {settings.stop_free_fraction:.0%} (storage.stop_free_fraction) nothing "
-        "more is stored: free some, the test goes on by itself"
+        f"{space.description}, and below {settings.stop_free_fraction:.0%} (storage.stop_free_fraction) "
+        "nothing more is stored: free some, the test goes on by itself"
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outlook:
-    """What is free, and how long that lasts.
+    """Forecast of the disk space until the end of the test.
 
     Attributes
     ----------
     needed_bytes
-        What the rest of the schedule will take, by the newest set's file, the rows of the catalogue and the
-        tiles; None before the first file.
+        Demand of the remaining schedule, from the newest set file, the rows of the catalogue and the tiles;
+        None before the first file.
     full_at_h
-        Hour of the test at which nothing more is stored; None: the rest of it fits, or nobody knows.
+        Hour of the test at which recording stops; None: the remaining sets fit, or it is unknown.
     """
 
     free_bytes: int
@@ -103,40 +103,42 @@ class Outlook:
 
 
 def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage = disk_usage) -> Outlook:
-    """Compare what is free with what the rest of the test needs."""
+    """Forecast whether the remaining sets of the test fit on the disk."""
     storage = settings.storage
     space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_recorded()
-    found = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
+    forecast = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
     path = folder / ((newest and newest.file) or "")
-    if not path.is_file():  # it is in the journal still
-        return found
+    if not path.is_file():  # the set is still in the journal
+        return forecast
     counts = catalogue.counts()
-    done = counts["sets"] + counts["missed_sets"]
-    planned = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
-    hours = planned[done:]
-    tiles = sum(planned_bytes(n_cells, len(planned)) for n_cells in kept_cells(folder)) / max(1, len(planned))
-    a_set = path.stat().st_size + tiles + (folder / FILE_NAME).stat().st_size / max(1, done)
+    n_done = counts["sets"] + counts["missed_sets"]
+    planned_h = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    remaining_h = planned_h[n_done:]
+    tiles = sum(planned_bytes(n_cells, len(planned_h)) for n_cells in kept_cells(folder)) / max(
+        1, len(planned_h)
+    )
+    bytes_per_set = path.stat().st_size + tiles + (folder / FILE_NAME).stat().st_size / max(1, n_done)
     stop_bytes = storage.stop_free_fraction * min(space.total_bytes, storage.volume_gb * 1e9)
-    fitting = int(max(0.0, space.free_bytes - stop_bytes) / a_set)
+    n_fitting = int(max(0.0, space.free_bytes - stop_bytes) / bytes_per_set)
     return replace(
-        found,
-        needed_bytes=round(len(hours) * a_set),
-        full_at_h=hours[fitting] if fitting < len(hours) else None,
+        forecast,
+        needed_bytes=round(len(remaining_h) * bytes_per_set),
+        full_at_h=remaining_h[n_fitting] if n_fitting < len(remaining_h) else None,
     )
 
 
 class DiskWatch:
-    """Looks at the volume from time to time, and holds the reserve.
+    """Periodic check of the volume, and owner of the reserve file.
 
     Parameters
     ----------
     usage
-        Free and all bytes, asked of the system by default.
+        Free and total bytes; default: of the operating system.
 
     Attributes
     ----------
     space
-        As it was found last.
+        Newest measurement.
     """
 
     def __init__(
@@ -153,33 +155,33 @@ class DiskWatch:
         self._reserve_bytes = settings.reserve_mb * 10**6
         self.space = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
 
-    def look(self) -> DiskSpace | None:
-        """Measure if it is time to; the space where its level has changed, else None."""
+    def check(self) -> DiskSpace | None:
+        """Measure if it is due; return the space where its level has changed, else None."""
         if self._mono_s() < self._next_s:
             return None
         self._next_s, before = self._mono_s() + LOOK_EVERY_S, self.space.level
         try:
             self.space = disk_space(self._path.parent, self._settings, before=before, usage=self._usage)
-        except OSError as error:  # the folder is gone for now: writing there says so
+        except OSError as error:  # the folder is missing: writing there reports it
             log.debug("cannot ask how full %s is: %s", self._path.parent, error)
             return None
         if self.space.free_bytes < self._reserve_bytes // 4:
-            self.give_back()
+            self.free_reserve()
         elif self.space.level != "stop" and self.space.free_bytes > 2 * self._reserve_bytes:
-            self._keep()
+            self._allocate_reserve()
         return None if self.space.level == before else self.space
 
     @property
     def refusal(self) -> str:
-        """Why nothing is stored now; empty: there is room."""
+        """Reason why nothing is stored now; empty: there is room."""
         return refusal(self.space, self._settings)
 
-    def give_back(self) -> None:
-        """Free the reserve: what waits in memory fits there."""
+    def free_reserve(self) -> None:
+        """Delete the reserve file, so that the data waiting in memory fit on the disk."""
         remove_quietly(self._path)
 
-    def _keep(self) -> None:
-        """Allocate the reserve, if it is not there."""
+    def _allocate_reserve(self) -> None:
+        """Allocate the reserve file, if it does not exist."""
         try:
             if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:
                 return
@@ -200,4 +202,4 @@ class DiskWatch:
                 os.close(descriptor)
         except OSError as error:
             log.warning("no reserve of %d MB is kept: %s", self._reserve_bytes // 10**6, error)
-            self.give_back()
+            self.free_reserve()

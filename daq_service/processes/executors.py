@@ -1,7 +1,7 @@
-"""Executors of `concurrent.futures` by name: threads, processes that outlive a killed one, a Dask cluster.
+"""Executors of `concurrent.futures` by name: threads, processes that survive a killed worker, a Dask cluster.
 
-Each gives the same digits: BLAS computes in one thread in all of them. A worker that is killed costs the
-tasks that were under way, which are done again.
+All give the same digits: BLAS computes in one thread in each of them. The tasks of a killed worker are
+repeated.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from daq_service.processes.worker import leave_with_parent
 from simulator.numerics.one_thread import one_blas_thread
 
 MOST_PROCESSES = 61
-"""Windows waits for no more at once."""
+"""Windows waits for at most this many processes at once."""
 MOST_TRIES = 3
-"""Of a task that was under way each time a worker died: maybe it is what kills them."""
+"""Attempts of a task during which a worker died: the task itself may kill its worker."""
 DASK = "dask://"
 DASK_PORT = 8786
 CONNECTED_WITHIN_S = 10.0
@@ -35,19 +35,19 @@ SAME_EVERYWHERE = ("solimon", "numpy", "scipy", "numba")
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def checked_name(name: str, workers: int | None) -> str:
-    """Return the name of an executor.
+    """Check and return the name of an executor.
 
     Raises
     ------
     UsageError
-        There is no such executor, or a cluster is told how many workers it has.
+        There is no such executor, or a number of workers is given for a cluster.
     """
     if name not in ("processes", "threads") and not (name.startswith(DASK) and urlsplit(name).hostname):
         raise UsageError(f"--executor {name}: say processes, threads, or dask://HOST or dask://HOST:PORT")
@@ -57,14 +57,14 @@ def checked_name(name: str, workers: int | None) -> str:
 
 
 def start_worker() -> None:
-    """Prepare a worker process: one BLAS thread, and gone when its parent is."""
+    """Prepare a worker process: one BLAS thread, and end with the parent."""
     one_blas_thread().__enter__()
     leave_with_parent()
 
 
 @contextmanager
 def opened_executor(name: str, workers: int) -> Iterator[Executor]:
-    """Give an executor; leaving it early drops what has not begun and waits for what has.
+    """Yield an executor; leaving it early cancels pending tasks and waits for running ones.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def opened_executor(name: str, workers: int) -> Iterator[Executor]:
         with _cluster(name) as on_cluster:
             yield on_cluster
         return
-    executor = _Processes(workers) if name == "processes" else ThreadPoolExecutor(workers)
-    # Threads share the libraries' setting: without this one's end would give the others more BLAS threads.
+    executor = _ProcessExecutor(workers) if name == "processes" else ThreadPoolExecutor(workers)
+    # Threads share the libraries' setting: without this, the end of one would give the others more threads.
     with one_blas_thread():
         try:
             yield executor
@@ -94,43 +94,42 @@ def opened_executor(name: str, workers: int) -> Iterator[Executor]:
 
 
 def workers_of(executor: Executor, workers: int) -> int:
-    """How many tasks an executor does at once; ``workers`` where it is no cluster."""
-    return executor.n_workers if isinstance(executor, _OnCluster) else workers
+    """Return the number of parallel tasks of an executor; ``workers`` where it is no cluster."""
+    return executor.n_workers if isinstance(executor, _ClusterExecutor) else workers
 
 
 def worker_lost() -> tuple[type[Exception], ...]:
-    """Return what a task's result raises where its workers died again and again."""
+    """Return the exceptions of a task whose workers died repeatedly."""
     distributed = sys.modules.get("distributed")
     return (BrokenExecutor,) if distributed is None else (BrokenExecutor, distributed.KilledWorker)
 
 
 class _Task(Future[Any]):
-    """A task, which may be begun several times."""
+    """Task that may be submitted several times."""
 
     def __init__(self, call: Callable[[], Any]) -> None:
         super().__init__()
         self.call, self.tries = call, 0
-        self.begun: Future[Any] | None = None
+        self.attempt: Future[Any] | None = None
 
     def cancel(self) -> bool:
-        """Cancel it unless it is under way."""
-        return (self.begun is None or self.begun.cancel()) and super().cancel()
+        """Cancel the task unless it runs."""
+        return (self.attempt is None or self.attempt.cancel()) and super().cancel()
 
 
-class _Processes(Executor):
-    """A pool of processes that is made anew when one of them is killed, which breaks a pool.
+class _ProcessExecutor(Executor):
+    """Pool of processes that is replaced when a killed worker breaks it.
 
-    Processes are spawned, not forked: so it is on every platform, and no lock of this process's threads
-    is copied in a locked state.
+    Processes are spawned, not forked: this works on every platform and copies no locked lock of a thread.
     """
 
     def __init__(self, workers: int) -> None:
         self._workers, self._lock, self._closed = min(workers, MOST_PROCESSES), threading.Lock(), False
-        self._pool = self._made()
+        self._pool = self._new_pool()
 
     def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
         task = _Task(partial(work, *args, **named))
-        self._begin(task)
+        self._submit_attempt(task)
         return task
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -138,42 +137,42 @@ class _Processes(Executor):
             self._closed, pool = True, self._pool
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
-    def _made(self) -> ProcessPoolExecutor:
+    def _new_pool(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=start_worker)
 
-    def _begin(self, task: _Task) -> None:
+    def _submit_attempt(self, task: _Task) -> None:
         with self._lock:
             pool = self._pool
-        try:  # not under our lock: a pool that breaks holds its own while it tells us so
-            begun = pool.submit(task.call)
+        try:  # without our lock: a pool that breaks holds its own lock during its callback
+            attempt = pool.submit(task.call)
         except BrokenExecutor:
-            begun = self._renewed(pool).submit(task.call)
-        task.begun, task.tries = begun, task.tries + 1
-        begun.add_done_callback(partial(self._ended, task, pool))
+            attempt = self._replace_pool(pool).submit(task.call)
+        task.attempt, task.tries = attempt, task.tries + 1
+        attempt.add_done_callback(partial(self._finish_attempt, task, pool))
 
-    def _renewed(self, broken: ProcessPoolExecutor) -> ProcessPoolExecutor:
+    def _replace_pool(self, broken: ProcessPoolExecutor) -> ProcessPoolExecutor:
         with self._lock:
             if self._pool is broken:
-                self._pool = self._made()
+                self._pool = self._new_pool()
             return self._pool
 
-    def _ended(self, task: _Task, pool: ProcessPoolExecutor, begun: Future[Any]) -> None:
-        if begun.cancelled():
+    def _finish_attempt(self, task: _Task, pool: ProcessPoolExecutor, attempt: Future[Any]) -> None:
+        if attempt.cancelled():
             Future.cancel(task)
             return
-        error = begun.exception()
+        error = attempt.exception()
         if isinstance(error, BrokenExecutor) and task.tries < MOST_TRIES and not self._closed:
-            self._renewed(pool)
-            self._begin(task)
+            self._replace_pool(pool)
+            self._submit_attempt(task)
         elif error is not None:
             task.set_exception(error)
         else:
-            task.set_result(begun.result())
+            task.set_result(attempt.result())
 
 
-class _OnCluster(Executor):
-    """Workers of a Dask cluster; its scheduler gives the task of a worker that died to another one."""
+class _ClusterExecutor(Executor):
+    """Workers of a Dask cluster; its scheduler repeats the task of a worker that died on another one."""
 
     def __init__(self, client: Any) -> None:
         self._executor = client.get_executor(pure=False)
@@ -199,10 +198,10 @@ def _cluster(name: str) -> Iterator[Executor]:
     except ImportError as error:
         raise UsageError(f"{name} needs the extra: pip install 'solimon[cluster]'") from error
     parts = urlsplit(name)
-    place = parts.hostname, parts.port or DASK_PORT
-    address = f"tcp://{place[0]}:{place[1]}"
-    try:  # a client that finds nobody leaves its thread behind
-        socket.create_connection(place, timeout=CONNECTED_WITHIN_S).close()
+    host_and_port = parts.hostname, parts.port or DASK_PORT
+    address = f"tcp://{host_and_port[0]}:{host_and_port[1]}"
+    try:  # a client without a scheduler leaves its thread behind
+        socket.create_connection(host_and_port, timeout=CONNECTED_WITHIN_S).close()
         client: Any = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
     except OSError as error:
         raise BusyError(
@@ -210,19 +209,21 @@ def _cluster(name: str) -> Iterator[Executor]:
             "there, or choose --executor processes"
         ) from error
     with client:
-        here = _versions()
-        found = client.run(_versions)
-        if not found:
+        own_versions = _versions()
+        worker_versions = client.run(_versions)
+        if not worker_versions:
             raise BusyError(f"the Dask scheduler at {address} has no worker; start `dask worker {address}`")
-        for worker, there in found.items():
-            other = ", ".join(
-                f"{one} {there[one]} (here {here[one]})" for one in here if there[one] != here[one]
+        for worker, versions in worker_versions.items():
+            differences = ", ".join(
+                f"{package} {versions[package]} (here {own_versions[package]})"
+                for package in own_versions
+                if versions[package] != own_versions[package]
             )
-            if other:
+            if differences:
                 raise UsageError(
-                    f"the Dask worker {worker} has {other}: its digits may differ; install the same"
+                    f"the Dask worker {worker} has {differences}: its digits may differ; install the same"
                 )
-        executor = _OnCluster(client)
+        executor = _ClusterExecutor(client)
         try:
             yield executor
         finally:
@@ -230,5 +231,5 @@ def _cluster(name: str) -> Iterator[Executor]:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of a process that decide about digits."""
+    """Return the versions of a process that affect the digits."""
     return {"python": sys.version.split()[0], **{name: version(name) for name in SAME_EVERYWHERE}}

@@ -1,11 +1,11 @@
-"""The recorder's sign of life, advanced by the recording line itself and read by whoever looks after it.
+"""Heartbeat of the recorder, written by the recording thread and read by supervisor, web and commands.
 
-The web service has one, too, advanced by its event loop.
+The web service has a heartbeat, too, written by its event loop.
 
-One small file of a fixed size, written over in place at most twice a second and where something else begins:
-a full disk takes it, no rename meets a reader, and a look that falls into a write fails its checksum. It is a
-hint; the supervisor hears the same on its pipe. Its age is measured on the machine's monotonic clock, so a
-step of UTC neither kills nor hides a recorder; that clock begins anew with each boot, so the file names the
+The file has a fixed size and is overwritten in place at most twice a second and when the activity changes: it
+works on a full disk, no rename collides with a reader, and a read during a write fails its checksum. It is a
+hint; the supervisor gets the same on its pipe. Its age is measured on the machine's monotonic clock, so a
+step of UTC neither kills nor hides a recorder; that clock restarts with each boot, so the file names the
 boot.
 """
 
@@ -29,42 +29,42 @@ from hardware_drivers.nanoseconds import NS_PER_S
 log = logging.getLogger(__name__)
 
 FILE_NAME, WEB_FILE = "heartbeat.json", "web_heartbeat.json"
-"""Of the recorder, and of a web service that serves the test."""
+"""Heartbeat files of the recorder and of the web service."""
 WEB_BEATS_EVERY_S, WEB_DEADLINE_S = 1.0, 15.0
-"""Garbage and replays hold its event loop up for a fraction of a second."""
+"""Garbage collection and replays block the event loop for a fraction of a second."""
 WEB_STARTS_WITHIN_S, WEB_ANSWERS_WITHIN_S = 60.0, 3.0
-"""One that was there when the computer, or the recorder, went down comes back within this time; a computer
-that was asleep wakes up all its processes within the other."""
+"""Time for a restart of the web service after a crash of computer or recorder, and for all processes to
+continue after the computer was asleep."""
 FILE_BYTES = 4096
 LONGEST_DOING = 500
 """Characters, which take six bytes each at most."""
 LOOKS = 3
-"""Two writes lie half a second or a hundredfold of their time apart: one of so many looks meets none."""
+"""Two writes are at least half a second or 100 write times apart: one of this many reads meets none."""
 SHORTEST_INTERVAL_NS = 500_000_000
 
-NEWS_AFTER_COSTS = 100
-"""What is begun is told at once, unless the last news is younger than so many times what a beat cost: also in
-a simulated test of many stages a second beats take a hundredth of the time."""
+CHANGE_INTERVAL_COSTS = 100
+"""A new activity is written at once, unless the last change is younger than this many times the cost of a
+beat: also in a fast simulated test, beats take at most a hundredth of the time."""
 
 
 Stage = Literal["", "opening", "ended"]
-"""Of a recorder: at work, opening its rig (it hears no orders yet), or past its farewell, be it lingering."""
+"""Stage of a recorder: at work, opening its rig (no commands yet), or ended (also while it lingers)."""
 WebState = Literal["responding", "not_responding", "not_expected"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beat:
-    """What the file says.
+    """Content of the heartbeat file.
 
     Attributes
     ----------
     boot
         Name of the boot that ``mono_ns`` counts in; None where it has none (`clock.boot_name`).
     utc_ns, elapsed_ns
-        A moment of a test in real time: its time, and what had elapsed of the boot, sleep included. None on
-        a simulated clock, while time is doubted, and in the file of an older version.
+        A moment of a test in real time: its time, and the elapsed time of the boot, sleep included. None on
+        a simulated clock, while the clock is unverified, and in the file of an older version.
     stage
-        Tells a recorder that starts from one that leaves: the newest event of both is the same.
+        Distinguishes a recorder that starts from one that ends: the newest event of both is the same.
     """
 
     process: int
@@ -78,21 +78,21 @@ class Beat:
 
 
 class Heartbeat:
-    """Tells it, in the file and to whoever listens.
+    """Writer of the heartbeat, to the file and to a callback.
 
     Parameters
     ----------
     deadline_s
         Longest time between two beats of a healthy recorder: its longest bounded call and a margin.
-    tell
+    notify
         Called with the name of the event, ``beat``, and the values of a `Beat`.
     time_line
-        The test's time at this moment; None where there is none to be told.
+        The test's time at this moment; None where it is unknown.
 
     Attributes
     ----------
     stage
-        Told with every beat from now on.
+        Written with every beat from now on.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Heartbeat:
         folder: Path,
         *,
         deadline_s: float,
-        tell: Callable[..., None] = lambda event, **values: None,
+        notify: Callable[..., None] = lambda event, **values: None,
         mono_ns: Callable[[], int] = time.monotonic_ns,
         boot: Callable[[], str | None] = boot_name,
         time_line: Callable[[], TimeLine | None] = lambda: None,
@@ -109,47 +109,47 @@ class Heartbeat:
         self.stage: Stage = ""
         self._path = folder / file
         self._deadline_s = deadline_s
-        self._tell = tell
+        self._notify = notify
         self._mono_ns = mono_ns
         self._boot = boot()
         self._time_line = time_line
         self._last_ns: int | None = None
-        self._last_news_ns: int | None = None
+        self._last_change_ns: int | None = None
         self._last_cost_ns = 0
         self._last_doing = ""
 
     def beat(self, doing: str, *, at_once: bool = False) -> None:
-        """Say that the line moves, and what it is doing; at once where a long wait begins."""
+        """Write a beat with the present activity; ``at_once`` where a long wait begins."""
         doing = doing[:LONGEST_DOING]
-        now = self._mono_ns()
-        news = doing != self._last_doing
-        last_ns = self._last_news_ns if news else self._last_ns
-        pause_ns = NEWS_AFTER_COSTS * self._last_cost_ns if news else SHORTEST_INTERVAL_NS
-        if not at_once and last_ns is not None and now - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
+        now_ns = self._mono_ns()
+        is_change = doing != self._last_doing
+        last_ns = self._last_change_ns if is_change else self._last_ns
+        pause_ns = CHANGE_INTERVAL_COSTS * self._last_cost_ns if is_change else SHORTEST_INTERVAL_NS
+        if not at_once and last_ns is not None and now_ns - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
             return
-        line = self._time_line()
+        time_line = self._time_line()
         beat = Beat(
             process=os.getpid(),
-            mono_ns=now,
+            mono_ns=now_ns,
             deadline_s=self._deadline_s,
             doing=doing,
             boot=self._boot,
-            utc_ns=None if line is None else line.utc_ns,
-            elapsed_ns=None if line is None else line.elapsed_ns,
+            utc_ns=None if time_line is None else time_line.utc_ns,
+            elapsed_ns=None if time_line is None else time_line.elapsed_ns,
             stage=self.stage,
         )
-        self._tell("beat", **asdict(beat))
+        self._notify("beat", **asdict(beat))
         try:
-            _write_over(self._path, encoded(beat))
+            _overwrite(self._path, encoded(beat))
         except OSError as error:
             _warn_once(self._path, f"cannot be written ({error}); the supervisor hears it all the same")
-        self._last_ns, self._last_doing = now, doing
-        self._last_news_ns = now if news else self._last_news_ns
-        self._last_cost_ns = self._mono_ns() - now
+        self._last_ns, self._last_doing = now_ns, doing
+        self._last_change_ns = now_ns if is_change else self._last_change_ns
+        self._last_cost_ns = self._mono_ns() - now_ns
 
 
 def encoded(beat: Beat) -> bytes:
-    """Return the bytes of the file."""
+    """Return the content of the heartbeat file."""
     values = asdict(beat)
     return json.dumps({**values, "crc32": _crc32(values)}).encode().ljust(FILE_BYTES)
 
@@ -158,7 +158,7 @@ def _crc32(values: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(values).encode())
 
 
-def _write_over(path: Path, content: bytes) -> None:
+def _overwrite(path: Path, content: bytes) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
         os.write(descriptor, content)
@@ -167,9 +167,9 @@ def _write_over(path: Path, content: bytes) -> None:
 
 
 def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
-    """Latest beat; None where there is none, or where the file is no heartbeat (with a warning)."""
+    """Read the latest beat; None where there is none, or where the file is invalid (with a warning)."""
     path = folder / file
-    why = ""
+    reason = ""
     for _ in range(LOOKS):
         content = read_hint(path)
         if content is None:
@@ -177,9 +177,9 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
         try:
             return _decoded(content)
         except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
-            # A power cut may leave it empty or torn; whoever looks goes on as if there were none.
-            why = f"{type(error).__name__}: {error}"
-    _warn_once(path, f"is no heartbeat and counts as none: {why}")
+            # A power cut may leave it empty or torn: that counts as no heartbeat.
+            reason = f"{type(error).__name__}: {error}"
+    _warn_once(path, f"is no heartbeat and counts as none: {reason}")
     return None
 
 
@@ -192,12 +192,12 @@ def _decoded(content: bytes) -> Beat:
 
 
 def beat_of(values: Mapping[str, Any]) -> Beat:
-    """Make a beat of its values, checked.
+    """Check the values of a beat and return it.
 
     Raises
     ------
     ValueError, TypeError, LookupError, OverflowError
-        They are none.
+        The values are not those of a beat.
     """
     return Beat(
         process=int(values["process"]),
@@ -205,26 +205,27 @@ def beat_of(values: Mapping[str, Any]) -> Beat:
         deadline_s=float(values["deadline_s"]),
         doing=str(values["doing"]),
         boot=values.get("boot"),
-        utc_ns=_whole(values.get("utc_ns")),
-        elapsed_ns=_whole(values.get("elapsed_ns")),
+        utc_ns=_optional_int(values.get("utc_ns")),
+        elapsed_ns=_optional_int(values.get("elapsed_ns")),
         stage=values.get("stage", ""),
     )
 
 
-def _whole(value: Any) -> int | None:
+def _optional_int(value: Any) -> int | None:
     return None if value is None else int(value)
 
 
 @lru_cache(maxsize=8)
-def _warn_once(path: Path, what: str) -> None:
-    """Once for each reason: the file is written and looked at many times a second."""
-    log.warning("%s %s", path, what)
+def _warn_once(path: Path, problem: str) -> None:
+    """Log a warning once for each problem: the file is written and read many times a second."""
+    log.warning("%s %s", path, problem)
 
 
 def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
-    """Age of a beat at a monotonic time of a boot; None where it was written in another boot.
+    """Return the age of a beat at a monotonic time of a boot; None where it was written in another boot.
 
-    Where a name is missing (`clock.boot_name`, or a file of an older version) only a time ahead tells.
+    Where a boot name is missing (`clock.boot_name`, or a file of an older version), only a time in the future
+    shows that.
     """
     other_boot = None not in (beat.boot, boot) and beat.boot != boot
     return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S
@@ -237,7 +238,7 @@ def web_beat() -> Beat:
 
 
 def web_state(folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -> WebState:
-    """Return whether a web service serves this folder, has stopped doing so without notice, or is not due."""
+    """Return whether the web service of a folder responds, does not respond, or is not expected."""
     beat = read_heartbeat(folder, WEB_FILE)
     if beat is None or beat.stage == "ended":
         return "not_expected"
@@ -246,7 +247,7 @@ def web_state(folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -
 
 
 class WebWatch:
-    """Confirms that the web service of a folder does not respond, or that it does.
+    """Monitor that confirms whether the web service of a folder responds.
 
     Parameters
     ----------
@@ -260,7 +261,7 @@ class WebWatch:
         self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
 
     def is_missing(self) -> bool | None:
-        """Look at most once a second; None: not looked, or not confirmed yet."""
+        """Check at most once a second; None: not checked, or not confirmed yet."""
         now_ns = self._mono_ns()
         if now_ns < self._next_ns:
             return None
@@ -273,7 +274,7 @@ class WebWatch:
 
 
 def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
-    """Time of the test that a recorder of this boot went by; None where there was none, or none is known."""
+    """Return the test time of a recorder of this boot; None where it is unknown."""
     if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
         return None
     if beat.boot is None or beat.boot != boot or beat.elapsed_ns > elapsed_ns:
@@ -284,10 +285,10 @@ def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> Tim
 def time_now_ns(
     beat: Beat | None, *, boot: Callable[[], str | None] = boot_name, elapsed: Callable[[], int] = elapsed_ns
 ) -> int | None:
-    """Time of a test in real time, ns of UTC; None where no recorder of this boot tells it.
+    """Return the time of a test in real time, ns of UTC; None where no recorder of this boot reports it.
 
-    It need not be the system's: that may have been set since.
+    It may differ from the system time, which may have been set since.
     """
     now_ns = elapsed()
-    line = time_line_of(beat, boot=boot(), elapsed_ns=now_ns)
-    return None if line is None else line.utc_ns + now_ns - line.elapsed_ns
+    time_line = time_line_of(beat, boot=boot(), elapsed_ns=now_ns)
+    return None if time_line is None else time_line.utc_ns + now_ns - time_line.elapsed_ns

@@ -1,4 +1,4 @@
-"""What a process inherits from the one that started it, set to what solimon expects.
+"""Inherited settings of a process, reset to what solimon expects.
 
 Streams, signals, timers, limits and the mask of new files come from a shell, a scheduler or another program.
 None of them may change what an exit code means, end a test or silence its alarms.
@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 def reset_inherited() -> None:
-    """Open streams that are closed, print what an encoding lacks as escapes, and reset the rest.
+    """Reset streams, encodings, file mask, signals, timers and limits that a process inherits.
 
     Signals that are ignored stay ignored (`child.stop_on_signals`), but for SIGCHLD, without which the exit
     code of every child would be read as 0.
@@ -23,7 +23,7 @@ def reset_inherited() -> None:
         try:
             os.fstat(descriptor)
         except OSError:
-            # The next file that is opened would get this number, and with it all that is printed.
+            # The next opened file would get this descriptor, and with it all printed text.
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             mode = "w" if descriptor else "r"
@@ -31,7 +31,7 @@ def reset_inherited() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    os.umask(os.umask(0) & 0o077 | 0o002)  # the owner reads and writes, strangers do not write
+    os.umask(os.umask(0) & 0o077 | 0o002)  # the owner reads and writes, others do not write
     try:
         Path.cwd()
     except OSError:  # deleted: workers of a process start in its folder
@@ -42,7 +42,7 @@ def reset_inherited() -> None:
 
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # `stty tostop` would stop what prints in the background
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # `stty tostop` would stop a background process that prints
     for timer in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL, signal.ITIMER_PROF):
         signal.setitimer(timer, 0.0)
     for limit in (resource.RLIMIT_CPU, resource.RLIMIT_FSIZE, resource.RLIMIT_AS, resource.RLIMIT_DATA):

@@ -1,6 +1,6 @@
-"""Append-only files of numbered lines with a checksum each, to which any process of a test may add.
+"""Append-only files of numbered lines with a checksum each, to which any process of a test may append.
 
-The lines are those of ``history.jsonl`` (`catalogue.history`): damaged ones are left out by who reads.
+The lines are those of ``history.jsonl`` (`catalogue.history`): readers skip damaged ones.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from daq_service.shared_file import patiently
 BLOCK_BYTES = 64 * 1024
 """More than the longest line."""
 MOST_LINES = 20_000
-"""That one reading looks at: some 6 MB."""
+"""Limit of one read: some 6 MB."""
 LOOK_BACK_LINES = 20
 """The last ones may be torn."""
 
@@ -26,16 +26,16 @@ Line = tuple[int, Mapping[str, Any]]
 
 
 def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
-    """Add a line durably, behind those of others.
+    """Append a line durably.
 
     Raises
     ------
     OSError
-        It may not be durable.
+        The line may not be durable.
     """
     with one_at_a_time(path):
-        found, _ = newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
-        append_durably(path, [line_of(found[0][0] + 1 if found else 1, table, row)])
+        lines, _ = newest_lines(path, limit=1, most_lines=LOOK_BACK_LINES)
+        append_durably(path, [line_of(lines[0][0] + 1 if lines else 1, table, row)])
 
 
 def newest_lines(
@@ -46,54 +46,54 @@ def newest_lines(
     wanted: Callable[[Mapping[str, Any]], bool] = lambda row: True,
     most_lines: int = MOST_LINES,
 ) -> tuple[list[Line], int | None]:
-    """Read the newest lines, the newest first; damaged ones are left out.
+    """Read the newest lines, the newest first, without damaged ones.
 
     Parameters
     ----------
     limit
-        Most lines that are given.
+        Maximum number of lines to return.
     end
-        Byte at which the lines end that are asked for; None: all.
+        Byte at which the requested lines end; None: the end of the file.
     wanted
-        Tells which rows are asked for.
+        Predicate that selects rows.
     most_lines
-        No more are looked at, wanted or not: what is found may be fewer than `limit`, or nothing.
+        Maximum number of lines to read, selected or not: fewer than `limit` may be found.
 
     Returns
     -------
     list of Line
     int or None
-        `end` of the lines before; None: there are none.
+        `end` of the earlier lines; None: there are none.
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    found: list[Line] = []
+    selected: list[Line] = []
     try:
         with patiently(lambda: path.open("rb")) as file:
-            for n_lines, (begin, line) in enumerate(_lines_back(file, end), start=1):
-                told = parse_line(line)
-                if told is not None and wanted(told[2]):
-                    found.append((told[0], told[2]))
-                if len(found) == limit or n_lines == most_lines:
-                    return found, begin or None
+            for n_lines, (offset, line) in enumerate(_reversed_lines(file, end), start=1):
+                record = parse_line(line)
+                if record is not None and wanted(record[2]):
+                    selected.append((record[0], record[2]))
+                if len(selected) == limit or n_lines == most_lines:
+                    return selected, offset or None
     except FileNotFoundError:
         pass
-    return found, None
+    return selected, None
 
 
-def _lines_back(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
-    """Yield the lines before a byte, the last one first, each with the byte at which it begins."""
+def _reversed_lines(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
+    """Yield the lines before a byte, the last one first, each with the byte at which it starts."""
     size = file.seek(0, os.SEEK_END)
-    begin, content = min(size, size if end is None else end), b""
-    while begin:
-        step = min(BLOCK_BYTES, begin)
-        begin = file.seek(begin - step)
+    offset, content = min(size, size if end is None else end), b""
+    while offset:
+        step = min(BLOCK_BYTES, offset)
+        offset = file.seek(offset - step)
         lines = (file.read(step) + content).splitlines(keepends=True)
-        content = lines.pop(0) if begin else b""  # its begin is in the block before
-        at = begin + len(content) + sum(map(len, lines))
+        content = lines.pop(0) if offset else b""  # its start is in the block before
+        line_offset = offset + len(content) + sum(map(len, lines))
         for line in reversed(lines):
-            at -= len(line)
-            yield at, line.rstrip(b"\n")
+            line_offset -= len(line)
+            yield line_offset, line.rstrip(b"\n")

@@ -1,4 +1,4 @@
-"""A catalogue that is gone though its test was begun: told by what lies beside it, which outlives it."""
+"""Detection of a lost catalogue of a started test, from the files next to it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from daq_service.processes.data_folder import is_owned
 log = logging.getLogger(__name__)
 
 
-def lost_catalogue(folder: Path) -> bool:
-    """Tell whether a test was begun here whose catalogue is gone, or empty.
+def is_catalogue_lost(folder: Path) -> bool:
+    """Return whether a test was started here whose catalogue is missing or empty.
 
     Raises
     ------
     CatalogueError
-        What lies beside it cannot be read now.
+        The files next to it cannot be read now.
     """
     path = folder / FILE_NAME
     if path.is_file() and path.stat().st_size > 0:
@@ -32,41 +32,42 @@ def lost_catalogue(folder: Path) -> bool:
         except NoDataYetError:
             log.debug("%s has no experiment yet", path)
         except CatalogueError:
-            return False  # whoever opens it to write says what is wrong with it
+            return False  # opening it for writing reports what is wrong with it
     try:
-        kept = read_experiment(folder)
+        experiment = read_experiment(folder)
     except CatalogueDamagedError as error:
         log.warning("%s", error)
-        kept = None
-    begun = kept is not None or history_of(folder).experiment is not None
-    return begun or bool(FolderSetReader(folder).sets())
+        experiment = None
+    is_started = experiment is not None or read_folder_history(folder).experiment is not None
+    return is_started or bool(FolderSetReader(folder).sets())
 
 
 def lost_reason(folder: Path) -> str:
-    """Say that the catalogue is lost and what helps; empty: it is not.
+    """Return that the catalogue is lost and the remedy; empty: it is not lost.
 
     Raises
     ------
     CatalogueError
-        As `lost_catalogue`.
+        As `is_catalogue_lost`.
     """
-    if not lost_catalogue(folder):
+    if not is_catalogue_lost(folder):
         return ""
-    told = f"the catalogue of {folder} is lost, though its test was begun"
+    problem = f"the catalogue of {folder} is lost, though its test was begun"
     if is_owned(folder):
         return (
-            f"{told}; the recorder that runs there makes it again at its start: if this stays, start it anew"
+            f"{problem}; the recorder that runs there makes it again at its start: if this stays, "
+            "start it anew"
         )
-    return f"{told}; `solimon rebuild --data-dir {folder}` makes it again from sets, journal and history"
+    return f"{problem}; `solimon rebuild --data-dir {folder}` makes it again from sets, journal and history"
 
 
-def history_of(folder: Path) -> History:
-    """Read the history beside a catalogue.
+def read_folder_history(folder: Path) -> History:
+    """Read the history next to a catalogue.
 
     Raises
     ------
     CatalogueError
-        It cannot be read now.
+        The history cannot be read now.
     """
     try:
         return read_history(folder)

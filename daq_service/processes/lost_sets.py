@@ -1,4 +1,4 @@
-"""Sets that the catalogue counts on and that are gone: seen by a listing, without reading any of them."""
+"""Detection of missing set files of the catalogue from a folder listing, without reading a file."""
 
 from __future__ import annotations
 
@@ -11,50 +11,51 @@ from daq_service.archive.records import SETS_FOLDER, set_indices
 from daq_service.catalogue import Catalogue
 
 FILED_WITHIN_S = 2.0
-"""So long after a file was written it has its name, and the time of its folder."""
+"""Longest time from the write of a file to its final name and the time stamp of its folder."""
 
 
 def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = None) -> dict[str, str]:
-    """Name the files that rows point at and that are missing or empty, and say which of the two.
+    """Return the missing or empty set files of the catalogue, each with which of the two it is.
 
     Parameters
     ----------
     newest_rows
-        Look at the files of so many of the newest rows only, and at the names of all where something was
-        taken out of their folder or put there since: what takes the same time in every year of a test.
-        None: at all.
+        Check the files of only this many of the newest rows, and the names of all where the folder has
+        changed since: this takes the same time in every year of a test. None: check all rows.
 
     Raises
     ------
     CatalogueError, OSError
-        The folder cannot be looked at now.
+        The folder cannot be read now.
     """
     sets = folder / SETS_FOLDER
     if newest_rows is None:
-        gone = catalogue.files_but_of(set_indices([name for name in _names(sets) if _size(f"{sets}/{name}")]))
+        missing_files = catalogue.files_but_of(
+            set_indices([name for name in _names(sets) if _size(f"{sets}/{name}")])
+        )
     else:
         recent = catalogue.newest_files(newest_rows)
-        gone = {index: file for index, file in recent.items() if not _size(f"{folder}/{file}")}
-        if _changed_behind(sets, [file for index, file in recent.items() if index not in gone]):
-            gone |= catalogue.files_but_of(set_indices(_names(sets)))
-    if not gone:
+        missing_files = {index: file for index, file in recent.items() if not _size(f"{folder}/{file}")}
+        if _changed_after(sets, [file for index, file in recent.items() if index not in missing_files]):
+            missing_files |= catalogue.files_but_of(set_indices(_names(sets)))
+    if not missing_files:
         return {}
     journal = read_journal(folder)
     sizes = {
         file: _size(f"{folder}/{file}")
-        for index, file in gone.items()
-        # The set may have come out of the journal between the two looks.
+        for index, file in missing_files.items()
+        # The set may have come out of the journal between the two reads.
         if not (index in journal and journal[index].reference == file)
     }
     return {file: "is missing" if size is None else "is empty" for file, size in sizes.items() if not size}
 
 
 def _names(sets: Path) -> list[str]:
-    return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - names are all it takes
+    return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 
-def _changed_behind(sets: Path, files: Sequence[str]) -> bool:
-    """Tell whether the folder changed after the newest of these files was filed."""
+def _changed_after(sets: Path, files: Sequence[str]) -> bool:
+    """Return whether the folder changed after the newest of these files was filed."""
     try:
         written_s = max((sets.parent / file).stat().st_mtime for file in files[-1:])
         return sets.stat().st_mtime > written_s + FILED_WITHIN_S
@@ -62,7 +63,7 @@ def _changed_behind(sets: Path, files: Sequence[str]) -> bool:
         return True
 
 
-def _size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the look
+def _size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
     try:
         return os.stat(path).st_size  # noqa: PTH116
     except FileNotFoundError:

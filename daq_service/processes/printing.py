@@ -1,4 +1,4 @@
-"""Lines for a person on streams that may be closed, full or held (Ctrl-S): they delay and end nothing."""
+"""Output for a person on streams that may be closed, full or held (Ctrl-S), without blocking the process."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from contextlib import suppress
 log = logging.getLogger(__name__)
 
 PRINTING = "printing"
-"""Name of threads that print: one that is left at the end holds a stream, which Python could not flush."""
+"""Name of printing threads: one that is left at the end holds a stream, which Python could not flush."""
 HELD_AFTER_S = 2.0
-"""A stream that takes no line for so long is held."""
+"""A stream that accepts no line for this time is held."""
 
 
 def print_line(text: str, *, err: bool = True) -> None:
@@ -22,17 +22,17 @@ def print_line(text: str, *, err: bool = True) -> None:
     def write() -> None:
         try:
             print(text, file=sys.stderr if err else sys.stdout, flush=True)
-        except (OSError, ValueError) as gone:
-            log.debug("nobody reads %r: %s", text, gone)
-            drop_unwritten()
+        except (OSError, ValueError) as error:
+            log.debug("nobody reads %r: %s", text, error)
+            discard_unwritten()
 
     thread = threading.Thread(target=write, name=PRINTING, daemon=True)
     thread.start()
     thread.join(HELD_AFTER_S)
 
 
-def drop_unwritten() -> None:
-    """Drop what a stream does not take: Python's last flush of it would change the exit code to 120."""
+def discard_unwritten() -> None:
+    """Discard output that a stream refuses: Python's last flush of it would change the exit code to 120."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -42,7 +42,7 @@ def drop_unwritten() -> None:
 
 
 def end_process(code: int) -> None:
-    """End at once where Python would not end with this code; elsewhere leave it to Python.
+    """End the process at once where Python would not end with this exit code.
 
     A thread that prints on a held stream holds its lock, without which Python aborts the process; with
     PYTHONINSPECT it would go on to read commands from standard input.
@@ -50,5 +50,5 @@ def end_process(code: int) -> None:
     if any(thread.name == PRINTING for thread in threading.enumerate()):
         os._exit(code)
     if "PYTHONINSPECT" in os.environ:
-        drop_unwritten()
+        discard_unwritten()
         os._exit(code)

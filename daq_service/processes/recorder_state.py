@@ -1,4 +1,4 @@
-"""How the recorder is: one answer for the command line, whoever gives an order, and the web."""
+"""Status of the recorder, the same for command line, commands and web."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from daq_service.clock import boot_name
 from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text
 from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
 
-Word = Literal["running", "finished", "stopped", "silent", "absent"]
+RecorderStatus = Literal["running", "finished", "stopped", "silent", "absent"]
 
-FAREWELLS: dict[str, tuple[Word, str]] = {
+FAREWELLS: dict[str, tuple[RecorderStatus, str]] = {
     "schedule_done": ("finished", "finished: every planned set has its row"),
     "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
     "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to go on"),
 }
 PROCESS_EVENTS = ("recorder_started", *FAREWELLS)
-"""Events of the service that tell how a recorder is."""
+"""Events of the service that show the status of a recorder."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderState:
-    """How the recorder is at a moment.
+    """State of the recorder at a moment.
 
     Attributes
     ----------
-    word
-        "running", also where it waits for its rig; "finished" or "stopped" where that was its last word;
-        else "silent" (past its deadline, or gone without a word) or "absent" (never ran).
+    status
+        "running", also where it waits for its rig; "finished" or "stopped" where its last event shows that;
+        else "silent" (past its deadline, or ended without an event) or "absent" (never ran).
     description
-        The same for a person, with what it is doing.
+        The status for a person, with the present activity.
     listens
-        It is alive and takes orders: also after its last set, while it lingers; not before its rig is open.
+        The recorder accepts commands: also after its last set, while it lingers; not before its rig is open.
     beat
-        Its last sign of life; None where there is none.
+        Newest heartbeat; None where there is none.
     beat_age_s
-        Age of that; None without one, or where it is of an earlier boot.
+        Age of the heartbeat; None without one, or where it is of an earlier boot.
     """
 
-    word: Word
+    status: RecorderStatus
     description: str
     listens: bool
     beat: Beat | None
@@ -52,65 +52,72 @@ class RecorderState:
 def recorder_state(
     beat: Beat | None, kinds: Sequence[str], *, owned: bool | None, boot: str | None, mono_ns: int
 ) -> RecorderState:
-    """Judge by what the recorder told last, by the folder's lock, and by its heartbeat.
+    """Determine the state from the newest event, the folder's lock and the heartbeat.
 
-    The lock alone says whether one runs; the heartbeat, a hint, what it is doing and whether it moves. A
-    farewell is the last word of the recorder that said it: one that runs and has not said so is another.
+    Only the lock shows whether a recorder runs; the heartbeat, a hint, shows its activity and whether it
+    hangs. An event in `FAREWELLS` is the last one of its recorder: a running recorder without it is another.
 
     Parameters
     ----------
     kinds
-        Kinds of the newest events, oldest first; those that are not `PROCESS_EVENTS` say nothing.
+        Kinds of the newest events, oldest first; those not in `PROCESS_EVENTS` are ignored.
     owned
-        Somebody holds the folder's lock; None where nobody can tell: then the heartbeat decides.
+        A process holds the folder's lock; None where that is unknown: then the heartbeat decides.
     boot, mono_ns
         This boot and its monotonic time.
     """
-    told = next((kind for kind in reversed(kinds) if kind in PROCESS_EVENTS), "")
+    last_kind = next((kind for kind in reversed(kinds) if kind in PROCESS_EVENTS), "")
     age = None if beat is None else age_s(beat, boot=boot, mono_ns=mono_ns)
-    late = beat is not None and age is not None and age > beat.deadline_s
-    runs = owned if owned is not None else beat is not None and age is not None and not late
-    in_time = runs and not late
+    is_late = beat is not None and age is not None and age > beat.deadline_s
+    is_running = owned if owned is not None else beat is not None and age is not None and not is_late
+    in_time = is_running and not is_late
     ended = beat is not None and age is not None and beat.stage == "ended"
-    word: Word = "running" if in_time else "absent" if beat is None and not (runs or told) else "silent"
-    description = _description(beat, age, runs=runs, late=late, began=bool(told))
-    if told in FAREWELLS and (ended or not in_time):
-        word, description = FAREWELLS[told]
+    status: RecorderStatus = (
+        "running" if in_time else "absent" if beat is None and not (is_running or last_kind) else "silent"
+    )
+    description = _description(beat, age, is_running=is_running, is_late=is_late, has_started=bool(last_kind))
+    if last_kind in FAREWELLS and (ended or not in_time):
+        status, description = FAREWELLS[last_kind]
     return RecorderState(
-        word=word,
+        status=status,
         description=description,
-        listens=in_time and word != "stopped" and (age is None or beat is None or beat.stage != "opening"),
+        listens=in_time and status != "stopped" and (age is None or beat is None or beat.stage != "opening"),
         beat=beat,
         beat_age_s=age,
     )
 
 
-def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool, began: bool) -> str:
-    if beat is None and runs:
+def _description(
+    beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
+) -> str:
+    if beat is None and is_running:
         return "running; no heartbeat of it can be read yet"
     if beat is None:
-        gone = "not running: it left without a word, and its heartbeat cannot be read"
-        return gone if began else "never started here"
-    if runs and not late:
+        description = "not running: it left without a word, and its heartbeat cannot be read"
+        return description if has_started else "never started here"
+    if is_running and not is_late:
         return "running, starting" if age is None else f"running, {beat.doing}"
     if age is None:
         return f"not running: this computer was started again since it was last seen {beat.doing}"
-    return f"not {'answering' if runs else 'running'}: last sign of life {age:.0f} s ago while {beat.doing}"
+    activity = "answering" if is_running else "running"
+    return f"not {activity}: last sign of life {age:.0f} s ago while {beat.doing}"
 
 
-def look_at_recorder(folder: Path, kinds: Sequence[str]) -> RecorderState:
-    """State at this moment on this machine; ``kinds`` as in `recorder_state`."""
+def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
+    """Read the present state of the recorder of a folder; ``kinds`` as in `recorder_state`."""
     if kinds and not folder.is_dir():
-        gone = (
+        description = (
             f"nobody can tell: {folder} is gone; a recorder that runs keeps what it takes in memory and "
             "stores it when the folder is back: bring it back"
         )
-        return RecorderState(word="silent", description=gone, listens=False, beat=None, beat_age_s=None)
+        return RecorderState(
+            status="silent", description=description, listens=False, beat=None, beat_age_s=None
+        )
     beat, owned = read_heartbeat(folder), is_owned(folder)
     if owned and beat is not None:
         owner = lock_text(folder, LOCK_FILE).removeprefix("process ")
         if owner.isdigit() and int(owner) != beat.process:
-            beat = None  # the last one of an earlier recorder: the one that runs has just begun
+            beat = None  # of an earlier recorder: the running one has just started
     return recorder_state(
         beat,
         kinds,

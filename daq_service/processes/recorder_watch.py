@@ -1,7 +1,7 @@
-"""Whether a test has a recorder that stores sets, as seen by a process that is left.
+"""Monitor for a missing recorder, run by a process that remains.
 
 The web service, or the supervisor where there is none, raises ``recorder_not_running`` and changes no other
-row of the catalogue. A recorder takes the alarm over.
+row of the catalogue. A recorder takes over the alarm.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 MOST_RESTARTS, RESTARTS_WITHIN_S = 3, 600.0
 MOST_INTERVALS = 2
-"""So many intervals may pass without a stored set: one set may fail, or take as long as its interval."""
+"""Intervals that may pass without a stored set: one set may fail, or take as long as its interval."""
 STARTING_S = 60.0
 """After a start of the computer the recorder may come later than the process that watches it."""
 
 
 class RecorderWatch:
-    """Looks from time to time, and raises or clears the alarm.
+    """Periodic check that raises or clears the alarm ``recorder_not_running``.
 
     Parameters
     ----------
     catalogue
-        Opens it, or returns the open one; `NoDataYetError` before the first record.
+        Opens the catalogue, or returns the open one; `NoDataYetError` before the first record.
     mono_s
         Monotonic time of this machine, s.
     """
@@ -54,7 +54,7 @@ class RecorderWatch:
         self._restarts: deque[float] = deque(maxlen=MOST_RESTARTS)
         self._attended_h = 0.0
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise the alarm where the recorder is missing; clear it once a planned set is stored.
 
         Raises
@@ -71,11 +71,11 @@ class RecorderWatch:
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
         stored_h = (stored_ns - fresh.epoch_utc_ns) / NS_PER_H
-        finding = self._finding(fresh, stored_h, is_paused=catalogue.held() is not None)
+        finding = self._missing_reason(fresh, stored_h, is_paused=catalogue.held() is not None)
         is_active = bool(rows) and rows[-1].state in ("unacknowledged", "acknowledged")
-        is_over = is_active and (fresh.recorder.word == "finished" or stored_ns > rows[-1].changed_utc_ns)
+        is_over = is_active and (fresh.recorder.status == "finished" or stored_ns > rows[-1].changed_utc_ns)
         if is_over or (finding and not is_active):
-            self._carry("" if is_over else finding, fresh)
+            self._update_alarm("" if is_over else finding, fresh)
 
     def _count_restarts(self, fresh: Freshness) -> None:
         beat = fresh.recorder.beat
@@ -84,15 +84,15 @@ class RecorderWatch:
         if beat.process != self._process:
             if not self._ended:
                 self._restarts.append(self._mono_s())
-            elif fresh.recorder.word == "running":
+            elif fresh.recorder.status == "running":
                 self._attended_h = fresh.now_h  # started by a person, or with its computer
             self._process, self._process_since_s = beat.process, self._mono_s()
         self._ended = beat.stage == "ended" or fresh.recorder.beat_age_s is None
 
-    def _finding(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
-        """Return what shows that the recorder is missing; empty: nothing does."""
-        now_s, word = self._mono_s(), fresh.recorder.word
-        if is_paused or word == "finished":
+    def _missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
+        """Return the evidence that the recorder is missing; empty: there is none."""
+        now_s, status = self._mono_s(), fresh.recorder.status
+        if is_paused or status == "finished":
             self._attended_h = fresh.now_h
             self._restarts.clear()
         elif len(self._restarts) == MOST_RESTARTS and now_s - self._restarts[0] <= RESTARTS_WITHIN_S:
@@ -101,18 +101,18 @@ class RecorderWatch:
         due_h = due_hours(self._settings.schedule.phases, end_h=self._settings.schedule.end_h)
         since_h = max(stored_h, self._attended_h, due_h[0])
         following = bisect_left(due_h, since_h)
-        at = min(max(following, 1), len(due_h) - 1)
-        allowed_h = MOST_INTERVALS * (due_h[at] - due_h[at - 1] if at else 1.0)
-        if word == "running" and now_s - self._process_since_s > 3600.0 * allowed_h:
-            self._attended_h = fresh.now_h  # it lives: its own alarms state what it waits for
+        index = min(max(following, 1), len(due_h) - 1)
+        allowed_h = MOST_INTERVALS * (due_h[index] - due_h[index - 1] if index else 1.0)
+        if status == "running" and now_s - self._process_since_s > 3600.0 * allowed_h:
+            self._attended_h = fresh.now_h  # it is alive: its own alarms state what it waits for
         is_due = following < len(due_h) and since_h + allowed_h < fresh.now_h <= due_h[-1] + 2.0 * allowed_h
-        may_come = word != "running" and now_s - self._first_s < min(STARTING_S, 3600.0 * allowed_h)
+        may_come = status != "running" and now_s - self._first_s < min(STARTING_S, 3600.0 * allowed_h)
         # Simulated time stands still without a recorder: no set is missed.
         if fresh.clock == "wall" and is_due and not may_come:
             return f"No planned set stored for {MOST_INTERVALS} intervals"
         return ""
 
-    def _carry(self, finding: str, fresh: Freshness) -> None:
+    def _update_alarm(self, finding: str, fresh: Freshness) -> None:
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_one_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)

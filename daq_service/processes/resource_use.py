@@ -1,4 +1,4 @@
-"""What this process uses of its computer: memory and handles; None where the system does not tell."""
+"""Resource use of this process: memory and handles; None where the system does not report it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if sys.platform == "win32":
             ("PageFaultCount", wintypes.DWORD),
             ("PeakWorkingSetSize", ctypes.c_size_t),
             ("WorkingSetSize", ctypes.c_size_t),
-            ("rest", ctypes.c_size_t * 6),
+            ("remaining", ctypes.c_size_t * 6),
         )
 
     def resident_bytes() -> int | None:
-        """Memory of this process that is in the computer's own (its working set)."""
-        told = _MemoryCounters()
-        told.cb = ctypes.sizeof(told)
+        """Return the resident memory of this process in bytes (its working set)."""
+        counters = _MemoryCounters()
+        counters.cb = ctypes.sizeof(counters)
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
-        answered = ctypes.windll.psapi.GetProcessMemoryInfo(process, ctypes.byref(told), told.cb)
-        return told.WorkingSetSize if answered else None
+        succeeded = ctypes.windll.psapi.GetProcessMemoryInfo(process, ctypes.byref(counters), counters.cb)
+        return counters.WorkingSetSize if succeeded else None
 
     def open_handles() -> int | None:
         """Count the handles of this process: files, sockets, threads, events."""
         number = wintypes.DWORD()
         process = wintypes.HANDLE(ctypes.windll.kernel32.GetCurrentProcess())
-        answered = ctypes.windll.kernel32.GetProcessHandleCount(process, ctypes.byref(number))
-        return number.value if answered else None
+        succeeded = ctypes.windll.kernel32.GetProcessHandleCount(process, ctypes.byref(number))
+        return number.value if succeeded else None
 
 else:
 
     def resident_bytes() -> int | None:
-        """Memory of this process that is in the computer's own."""
+        """Return the resident memory of this process in bytes."""
         try:
             return int((_PROC / "statm").read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except (OSError, ValueError, LookupError):  # another system, or /proc is not mounted
@@ -50,6 +50,6 @@ else:
     def open_handles() -> int | None:
         """Count the open files and sockets of this process."""
         try:
-            return len(os.listdir(_PROC / "fd")) - 1  # noqa: PTH208 the one that lists them is open meanwhile
+            return len(os.listdir(_PROC / "fd")) - 1  # noqa: PTH208 the descriptor of the listing is one of them
         except OSError:
             return None

@@ -1,6 +1,6 @@
-"""What a service manager is told (systemd's protocol): ready, alive, what is being done, stopping.
+"""Notifications of a service manager (systemd's protocol): ready, alive, present activity, stopping.
 
-The recording line alone feeds the watchdog: a beat of its heartbeat is passed on, nothing else is.
+Only the recording thread feeds the watchdog: only a beat of its heartbeat is passed on.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from contextlib import contextmanager
 
 log = logging.getLogger(__name__)
 
-Teller = Callable[..., None]
+Notifier = Callable[..., None]
 
 
 def notify(*assignments: str) -> None:
-    """Send ``KEY=value`` lines to the manager that started this process, if one did; never wait for it."""
+    """Send ``KEY=value`` lines to the service manager of this process, if there is one; never wait for it."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address or sys.platform == "win32":
         return
     if os.environ.get("SYSTEMD_EXEC_PID", str(os.getpid())) != str(os.getpid()):
-        return  # inherited: the service is another program's
+        return  # inherited: this process is not the service
     # A leading @ stands for the zero byte of an abstract socket.
     name = f"\0{address[1:]}" if address.startswith("@") else address
     try:
@@ -35,24 +35,26 @@ def notify(*assignments: str) -> None:
 
 
 @contextmanager
-def service_manager_notifications(tell: Teller, send: Callable[..., None] = notify) -> Iterator[Teller]:
-    """Let a service manager hear, too, what a recorder tells; at the end that it stops.
+def service_manager_notifications(
+    on_event: Notifier, send: Callable[..., None] = notify
+) -> Iterator[Notifier]:
+    """Yield a callback that passes events of a recorder on to the service manager; at the end, send STOPPING.
 
-    Each beat is good for its deadline, also while the service starts or stops.
+    Each beat is valid for its deadline, also while the service starts or stops.
     """
-    begun = False
+    is_ready = False
 
     def pass_on(event: str, **values: object) -> None:
-        nonlocal begun
-        tell(event, **values)
+        nonlocal is_ready
+        on_event(event, **values)
         if event == "begun":
-            begun = True
+            is_ready = True
             send("READY=1")
         if event == "beat":
-            lasts_us = round(float(str(values["deadline_s"])) * 1e6)
+            extend_us = round(float(str(values["deadline_s"])) * 1e6)
             doing = " ".join(str(values["doing"]).split())
-            ready = ["READY=1"] if begun else []  # again: a datagram may be lost
-            send(*ready, "WATCHDOG=1", f"EXTEND_TIMEOUT_USEC={lasts_us}", f"STATUS={doing}")
+            ready = ["READY=1"] if is_ready else []  # repeated: a datagram may be lost
+            send(*ready, "WATCHDOG=1", f"EXTEND_TIMEOUT_USEC={extend_us}", f"STATUS={doing}")
 
     try:
         yield pass_on

@@ -1,14 +1,14 @@
-"""A small supervisor of two children that also run alone: the recorder and the web service.
+"""Supervisor of two child processes that also run alone: the recorder and the web service.
 
-Children share nothing but the data folder. Each holds the reading end of a pipe (its standard
+The children share only the data folder. Each holds the reading end of a pipe (its standard
 input) whose other end the supervisor keeps open: when the supervisor ends, however it ends, the
-pipe closes and the children leave safely. A recorder whose heartbeat is overdue is killed and
+pipe closes and the children end safely. A recorder whose heartbeat is overdue is killed and
 started again; so is a child that crashed. A driver or a vendor's library may end the process with any exit
 code, so a code counts only if the child announced it on its pipe before it ended (`child.announced`). A child
-that announces a code of the table (2 usage, 3 rig, 4 storage, 5 busy) names what is wrong: everything stops
-and the code is passed on; where others stay, a recorder whose test has begun leaves them, and its code is
-passed on when they are stopped. A web service that has listened once is started again whatever it announces:
-it ends no test. A recorder that its operator stopped (130) stays stopped.
+that announces a code of the table (2 usage, 3 rig, 4 storage, 5 busy) names its problem: everything stops
+and the supervisor returns the code. Where other children stay, a recorder whose test has started ends alone,
+and its code is returned when they are stopped. A web service that has listened once is always restarted: it
+ends no test. A recorder that its operator stopped (130) stays stopped.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ log = logging.getLogger(__name__)
 FINAL_CODES = (2, 3, 4, 5)
 RESTART_DELAYS_S = (0.2, 1.0, 2.0, 5.0, 10.0, 30.0)
 HEALTHY_AFTER_S = 60.0
-"""A child that lived this long starts again at the first delay."""
+"""A child that ran this long is restarted after the first delay."""
 STARTING_GRACE_S = 60.0
 """Imports and compilation of kernels: no heartbeat is expected before."""
 LEAVE_WITHIN_S = 4.0
-"""Children that are told to leave get this long; the whole must end within 5 s."""
+"""Time for children to end by themselves; the whole shutdown must end within 5 s."""
 LOOK_EVERY_S = 0.05
 ANNOUNCED_WITHIN_S = 1.0
-"""The last line of a child that has ended is read within this time, also where its workers hold the pipe."""
+"""Time to read the last line of an ended child, also where its workers hold the pipe."""
 
 Message = Mapping[str, Any]
 Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"]
@@ -53,7 +53,7 @@ Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"
 def start_process(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """Start a program with pipes for its streams, and variables added to our own.
 
-    What a driver prints must not wait for our terminal, which a person may hold.
+    Output of a driver must not wait for our terminal, which a person may hold.
     """
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env={**os.environ, **environment})
@@ -61,14 +61,14 @@ def start_process(command: Sequence[str], environment: Mapping[str, str]) -> sub
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChildPlan:
-    """How to start a child.
+    """Start parameters of a child.
 
     Attributes
     ----------
     arguments
-        Command line after ``solimon``; ``{cause}`` in it becomes why the child is started again.
+        Command line after ``solimon``; ``{cause}`` in it is replaced by the cause of a restart.
     watched
-        True: the recorder, whose heartbeat is watched from its start on; of others, from their first beat on.
+        True: the recorder, whose heartbeat is watched from its start; that of others, from their first beat.
     environment
         Variables added to this process's own.
     """
@@ -85,32 +85,31 @@ class _Child:
     process: subprocess.Popen[bytes] | None = None
     started_ns: int = 0
     start_at_ns: int = 0
-    told: Beat | None = None
+    reported_beat: Beat | None = None
     """Newest beat on its pipe."""
     beat: Beat | None = None
-    """Newest beat at all."""
+    """Newest beat on its pipe or in its file."""
     quick_failures: int = 0
     cause: str = ""
-    begun: bool = False
-    """It has told of a set, or where it listens."""
+    has_started: bool = False
+    """The child has reported a set, or the address at which it listens."""
     finished: bool = False
     exit_code: int = EXIT_OK
     announced: int | None = None
-    """Exit code that the present process announced."""
+    """Exit code announced by the present process."""
     reader: threading.Thread | None = None
     extra: list[str] = field(default_factory=list)
 
 
 class Supervisor:
-    """Starts the children, watches them, and takes them down together.
+    """Starts the children, watches them, and ends them together.
 
     Parameters
     ----------
     on_message
         Called with ``(child name, message)`` for each JSON line a child prints, of its beats only for those
-        that tell of something else, for ``restarts`` of it (``cause``, ``in_s``), and for what it ``printed``
-        on standard error (``text``). It may wait for a person (a console in which text is selected): children
-        are not kept waiting by that.
+        with a new activity, for ``restarts`` of it (``cause``, ``in_s``), and for lines ``printed`` on
+        standard error (``text``). It may block (a console with selected text): children do not wait for it.
     give_up
         True: end when a child has used up all restart delays, instead of trying for ever.
     program
@@ -118,11 +117,11 @@ class Supervisor:
     restart_delays_s
         Wait before each restart of a child that keeps failing.
     leave_within_s
-        What children that are told to leave have before they are killed.
+        Time for children to end by themselves before they are killed.
     guard
-        Called at every look: it does what a recorder that is missing or hangs leaves undone.
+        Called at every check: it does the work of a recorder that is missing or hangs.
     start, read_beat, mono_ns
-        How a program is started, the heartbeat of a folder read, the machine's monotonic time told.
+        Start a program, read the heartbeat of a folder, return the machine's monotonic time.
     """
 
     def __init__(
@@ -145,7 +144,7 @@ class Supervisor:
         self._on_message = on_message
         self._give_up = give_up
         self._readers: list[threading.Thread] = []
-        self._unheard: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
         self._program = program
         self._restart_delays_s = restart_delays_s
         self._leave_within_s = leave_within_s
@@ -154,18 +153,18 @@ class Supervisor:
         self._read_beat = read_beat
         self._mono_ns = mono_ns
         self._boot = boot_name()
-        self._serves_on = False
+        self._stay = False
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end."""
-        self._serves_on = stay
+        self._stay = stay
         try:
             while not stop.is_set():
                 for child in self._children:
-                    code = self._look_after(child, stop)
+                    code = self._check_child(child, stop)
                     if code is not None:
                         return code
-                self._pass_messages_on()
+                self._deliver_messages()
                 recorders = [child for child in self._children if child.plan.watched]
                 if not stay and recorders and all(child.finished for child in recorders):
                     return max(child.exit_code for child in recorders)
@@ -174,14 +173,14 @@ class Supervisor:
             codes = (child.exit_code for child in self._children)
             return max((code for code in codes if code != EXIT_INTERRUPTED), default=EXIT_OK)
         finally:
-            self._take_down()
-            self._pass_messages_on()
+            self._end_children()
+            self._deliver_messages()
 
-    def _pass_messages_on(self) -> None:
-        while not self._unheard.empty():
-            self._on_message(*self._unheard.get())
+    def _deliver_messages(self) -> None:
+        while not self._messages.empty():
+            self._on_message(*self._messages.get())
 
-    def _look_after(self, child: _Child, stop: threading.Event) -> int | None:
+    def _check_child(self, child: _Child, stop: threading.Event) -> int | None:
         """Start, restart or kill one child as it needs; an exit code ends the supervision."""
         if child.finished:
             return None
@@ -192,7 +191,7 @@ class Supervisor:
             return None
         code = child.process.poll()
         if code is None:
-            if (child.plan.watched or child.told) and (cause := self._overdue(child)):
+            if (child.plan.watched or child.reported_beat) and (cause := self._overdue(child)):
                 child.cause = cause
                 child.process.kill()
             return None
@@ -204,19 +203,19 @@ class Supervisor:
             return self._plan_restart(child, code)
         code = child.announced
         if code in (EXIT_OK, EXIT_INTERRUPTED) and child.plan.watched:
-            # Done, or stopped by its operator: to start it again would strike on against the order.
+            # Done, or stopped by its operator: a restart would strike on against the command.
             child.finished = True
             child.exit_code = code
             if code == EXIT_INTERRUPTED and not stop.is_set():
-                self._unheard.put((child.plan.name, {"event": "stopped"}))
+                self._messages.put((child.plan.name, {"event": "stopped"}))
             return None
-        if code in FINAL_CODES and child.plan.watched and child.begun and self._serves_on:
-            # The test has begun: those who look at it are served on, and the code is passed on at the end.
+        if code in FINAL_CODES and child.plan.watched and child.has_started and self._stay:
+            # The test has started: the dashboard stays, and the code is returned at the end.
             log.error("%s ended for good with exit code %d; the dashboard stays", child.plan.name, code)
             child.finished, child.exit_code = True, code
-            self._unheard.put((child.plan.name, {"event": "failed", "code": code}))
+            self._messages.put((child.plan.name, {"event": "failed", "code": code}))
             return None
-        if code in FINAL_CODES and (child.plan.watched or not child.begun):
+        if code in FINAL_CODES and (child.plan.watched or not child.has_started):
             return code
         return self._plan_restart(child, code)
 
@@ -230,23 +229,23 @@ class Supervisor:
         delay_s = self._restart_delays_s[min(child.quick_failures, len(self._restart_delays_s) - 1)]
         child.quick_failures += 1
         child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
-        child.cause = child.cause or _how_it_ended(code)
+        child.cause = child.cause or _end_description(code)
         if child.announced is None and code in (EXIT_OK, EXIT_INTERRUPTED, *FINAL_CODES):
             child.cause += ", which it had not announced"
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
-        self._unheard.put((child.plan.name, {"event": "restarts", "cause": child.cause, "in_s": delay_s}))
+        self._messages.put((child.plan.name, {"event": "restarts", "cause": child.cause, "in_s": delay_s}))
         return None
 
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
-        child.started_ns, child.told, child.beat, child.cause = self._mono_ns(), None, None, ""
+        child.started_ns, child.reported_beat, child.beat, child.cause = self._mono_ns(), None, None, ""
         child.announced = None
         child.process = self._start_process(
             [*self._program, *arguments, *child.extra], child.plan.environment
         )
-        for read in (self._read_errors, self._read_messages):
+        for target in (self._read_errors, self._read_messages):
             child.reader = threading.Thread(
-                target=read, args=(child, child.process), name=f"{child.plan.name}-pipe", daemon=True
+                target=target, args=(child, child.process), name=f"{child.plan.name}-pipe", daemon=True
             )
             child.reader.start()
             self._readers.append(child.reader)
@@ -256,7 +255,7 @@ class Supervisor:
         with process.stderr as lines:
             for line in lines:
                 text = line.decode(errors="replace").rstrip()
-                self._unheard.put((child.plan.name, {"event": "printed", "text": text}))
+                self._messages.put((child.plan.name, {"event": "printed", "text": text}))
 
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
@@ -266,8 +265,8 @@ class Supervisor:
                     message = json.loads(line)
                     event = message["event"]
                     if event == "beat":
-                        before, child.told = child.told, beat_of(message)
-                        if before is not None and before.doing == child.told.doing:
+                        before, child.reported_beat = child.reported_beat, beat_of(message)
+                        if before is not None and before.doing == child.reported_beat.doing:
                             continue
                     if event == ANNOUNCEMENT:
                         if child.process is process:
@@ -279,23 +278,23 @@ class Supervisor:
                 except (ValueError, TypeError, LookupError, AttributeError, OverflowError):
                     log.warning("%s printed a line that is no message: %r", child.plan.name, line[:200])
                     continue
-                child.begun = child.begun or event in ("progress", "listening")
-                self._unheard.put((child.plan.name, message))
+                child.has_started = child.has_started or event in ("progress", "listening")
+                self._messages.put((child.plan.name, message))
 
     def _overdue(self, child: _Child) -> str:
-        """Why a child that runs must be killed; empty while its heartbeat is in time."""
-        heard = (child.told, self._beat_in_file(child))
+        """Return why a running child must be killed; empty while its heartbeat is in time."""
+        beats = (child.reported_beat, self._beat_in_file(child))
         now_ns = self._mono_ns()
-        # A folder has one recorder: what it wrote since the start is this child's. Process numbers come
-        # again, and a launcher (Windows, virtual environments) has another one than its Python. A file that
-        # cannot be read or written takes nothing from what was heard before.
-        for found in heard:
+        # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
+        # a launcher (Windows, virtual environments) has another one than its Python. A file that cannot be
+        # read or written does not discard earlier beats.
+        for beat in beats:
             if (
-                found is not None
-                and found.mono_ns >= (child.started_ns if child.beat is None else child.beat.mono_ns)
-                and age_s(found, boot=self._boot, mono_ns=now_ns) is not None
+                beat is not None
+                and beat.mono_ns >= (child.started_ns if child.beat is None else child.beat.mono_ns)
+                and age_s(beat, boot=self._boot, mono_ns=now_ns) is not None
             ):
-                child.beat = found
+                child.beat = beat
         if child.beat is None:
             late = now_ns - child.started_ns > STARTING_GRACE_S * NS_PER_S
             return f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start" if late else ""
@@ -310,9 +309,9 @@ class Supervisor:
     def _beat_in_file(self, child: _Child) -> Beat | None:
         if child.plan.watched:
             return self._read_beat(self._folder)
-        # A supervisor that was stopped itself reads its pipe late. Others may serve the folder.
-        found = read_heartbeat(self._folder, WEB_FILE)
-        return found if found and child.told and found.process == child.told.process else None
+        # A supervisor that was suspended reads its pipe late. Another service may serve the folder.
+        beat = read_heartbeat(self._folder, WEB_FILE)
+        return beat if beat and child.reported_beat and beat.process == child.reported_beat.process else None
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
@@ -321,28 +320,28 @@ class Supervisor:
                 child.process.stdin.write(FAREWELL)
                 child.process.stdin.close()
 
-    def _take_down(self) -> None:
-        """Close every pipe at once, then wait; whoever stays is killed."""
+    def _end_children(self) -> None:
+        """Close every pipe at once, then wait; kill children that do not end."""
         for child in self._children:
             self._close_pipe(child)
         deadline_ns = self._mono_ns() + round(self._leave_within_s * NS_PER_S)
 
-        def left_s(at_least: float) -> float:
-            return max(at_least, (deadline_ns - self._mono_ns()) / NS_PER_S)
+        def remaining_s(minimum_s: float) -> float:
+            return max(minimum_s, (deadline_ns - self._mono_ns()) / NS_PER_S)
 
         for child in self._children:
             if child.process is None:
                 continue
             try:
-                child.process.wait(left_s(0.0))
+                child.process.wait(remaining_s(0.0))
             except subprocess.TimeoutExpired:
                 log.error("%s did not leave within %g s; killed", child.plan.name, self._leave_within_s)
                 child.process.kill()
                 child.process.wait()
         for reader in self._readers:
-            # Its pipe is closed at the other end; what the child said last is still to be heard.
-            reader.join(left_s(0.1))
+            # Its pipe is closed at the other end; the last messages of the child are still to be read.
+            reader.join(remaining_s(0.1))
 
 
-def _how_it_ended(code: int) -> str:
+def _end_description(code: int) -> str:
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

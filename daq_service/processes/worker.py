@@ -1,4 +1,4 @@
-"""Worker processes: deaf to the terminal, gone when their parent is, missed when they die."""
+"""Worker processes that ignore Ctrl-C, end with their parent, and are noticed when they die."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any
 
 
 def leave_with_parent() -> None:
-    """Prepare this process: Ctrl-C reaches every process of a terminal, and the parent alone decides.
+    """Ignore Ctrl-C in this process, and end it when its parent ends.
 
-    A parent that is killed cannot tell its workers, and the pipes of a pool do not.
+    A parent that is killed cannot notify its workers, and the pipes of a pool do not.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -39,15 +39,15 @@ def one_worker(initializer: Callable[..., None] = leave_with_parent, *arguments:
     """
     executor = ProcessPoolExecutor(
         max_workers=1,
-        # A fork would take along the recorder's threads' locks, its sockets and its lock on the folder.
+        # A fork would copy the locks of the recorder's threads, its sockets and its lock on the folder.
         mp_context=multiprocessing.get_context("spawn"),
         initializer=initializer,
         initargs=arguments,
     )
-    # The process starts with its first task: now.
+    # The process starts with its first task.
     executor.submit(os.getpid)
     if sys.platform != "win32":
-        # A worker that is killed while it answers leaves half an answer. The pool reads on, and would for
-        # ever as long as it holds the writing end itself: without it the pipe ends with the worker.
+        # A worker that is killed while it writes its result leaves an incomplete one. The pool would read on
+        # for ever while it holds the writing end itself: without it, the pipe ends with the worker.
         executor._result_queue._writer.close()  # type: ignore[attr-defined]
     return executor

@@ -252,7 +252,7 @@ class Persistence:
         while self.trouble is not None and idle():
             self._stop.wait(self._look_every_s)
         if self.trouble is not None and self._disk is not None:
-            self._disk.give_back()
+            self._disk.free_reserve()
             self._retry_queue.work(at_once=True)
         if self.trouble is not None:
             log.error("%d jobs are lost that no disk took: %s", len(self._retry_queue), self.trouble.message)
@@ -286,13 +286,13 @@ class Persistence:
 
     def watch_disk(self) -> None:
         """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
-        space = None if self._disk is None else self._disk.look()
+        space = None if self._disk is None else self._disk.check()
         if space is None:
             return
-        log.warning("%s: level %s", space.told, space.level)
+        log.warning("%s: level %s", space.description, space.level)
         self.say(DISK_SPACE, asdict(space))
         condition = space_condition(
-            space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+            space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
         )
         self._store_alarm(condition)
 

@@ -28,7 +28,7 @@ from daq_service.catalogue.experiment_file import keep_experiment, refuse_anothe
 from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
-from daq_service.processes.lost_catalogue import history_of
+from daq_service.processes.lost_catalogue import read_folder_history
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.replay import FeaturesOf, Replayed, StoredHistory, replay
 from daq_service.settings.stored import stored_settings
@@ -90,7 +90,7 @@ def rebuild(
         It cannot be made again, and why.
     """
     archive = FolderSetReader(folder)
-    history, kept = history_of(folder), _catalogue(folder)
+    history, kept = read_folder_history(folder), _catalogue(folder)
     experiment = kept_experiment(folder, history, archive)
     if kept.experiment is not None:
         if experiment is not None:

@@ -34,7 +34,7 @@ from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
-from daq_service.processes.lost_catalogue import lost_catalogue
+from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
 from daq_service.processes.worker import one_worker
@@ -114,7 +114,7 @@ def record(
     """
     began_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
     deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
-    rebuilt = _rebuilt_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=report))
+    rebuilt = _rebuilt_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, notify=report))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         cause = _why_not_running(catalogue, last_beat, restart_reason)
@@ -149,7 +149,7 @@ def record(
             start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
             clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
-        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=report, time_line=line)
+        heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line)
 
         def moment() -> Moment:
             now_ns = clock.utc_ns()
@@ -169,7 +169,7 @@ def record(
             _store_stop(catalogue, history, heartbeat, moment(), unsupervised)
             return False
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
-        stack.callback(disk.give_back)
+        stack.callback(disk.free_reserve)
         experiment = experiment_identity(catalogue.experiment_row())
 
         def has_room() -> bool:
@@ -240,7 +240,7 @@ def record(
 
 def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
     """Make a lost catalogue again before anything is recorded; what is told of it, empty: none was lost."""
-    if not lost_catalogue(folder):
+    if not is_catalogue_lost(folder):
         return {}
     log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
     made = rebuild(

@@ -1,4 +1,4 @@
-"""The FastAPI application: shared parts, guards, problem details, one router a resource."""
+"""FastAPI application: shared parts, guards, problem details, one router per resource."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from daq_service.web.routes import (
     waveforms,
 )
 from daq_service.web.routes.admission import admit
-from daq_service.web.routes.description import describe_roles, describe_words
+from daq_service.web.routes.description import describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
@@ -84,12 +84,12 @@ RESOURCES = (
     report,
 )
 SMALL_BYTES = 2048
-"""Two packets: less is sent as it is."""
+"""Two packets: smaller answers are not compressed."""
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    async with context_of(app).followed():
+    async with context_of(app).run_background_tasks():
         yield
 
 
@@ -108,25 +108,25 @@ class Service(FastAPI):
         problem.install(self)
 
     def openapi(self) -> dict[str, Any]:
-        """Describe the interface (OpenAPI 3.1)."""
+        """Return the OpenAPI 3.1 description of the interface."""
         if self.openapi_schema is None:
             document = super().openapi()
             document["components"]["schemas"].update(problem_schemas())
             describe_roles(document)
-            describe_words(document)
+            describe_names(document)
         assert self.openapi_schema is not None
         return self.openapi_schema
 
 
 def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False) -> FastAPI:
-    """Build the service of one data folder; it reads, and writes only operator commands.
+    """Return the application of one data folder; it writes only operator commands.
 
     Parameters
     ----------
     data_folder
         May still be empty: answers are 503 "no data yet" until the recorder has stored something.
     no_person
-        No token is asked for: never of an application that listens on a port.
+        No token is required: not allowed for an application that listens on a port.
     """
     app = application_of_test(lifespan=_lifespan)
     guard(app, Context(settings, data_folder, no_person=no_person))
@@ -134,7 +134,7 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
 
 
 def application_of_test(**options: Any) -> Service:
-    """Build the routes of a test; which test a request is about, `context.context_at` says."""
+    """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
         title="solimon",
         version=API_VERSION,
@@ -154,7 +154,7 @@ def application_of_test(**options: Any) -> Service:
 
 
 def versioned(resources: Iterable[ModuleType]) -> APIRouter:
-    """Put resources below `/api/v1`: who asks is admitted, and no parameter is passed over."""
+    """Return a router of resources below `/api/v1`, with checks of the role and of unknown parameters."""
     api = APIRouter(
         prefix="/api/v1",
         dependencies=[Depends(admit), Depends(refuse_unknown_parameters)],
@@ -166,20 +166,22 @@ def versioned(resources: Iterable[ModuleType]) -> APIRouter:
 
 
 def guard(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
-    """Put before an application what is refused and looked at before any route.
+    """Add middleware to an application: guards, authentication, compression and timing.
 
     Parameters
     ----------
     context
-        Of the service: its doors, and the names that it answers to.
+        Of the service: its access policy, and its host names.
     has_tests
-        Paths may begin with a test's.
+        Paths may start with the prefix of a test.
     """
     app.state.context = context
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    app.add_middleware(AuthenticationMiddleware, doors=context.doors, has_tests=has_tests)
+    app.add_middleware(AuthenticationMiddleware, policy=context.access_policy, has_tests=has_tests)
     app.add_middleware(assets.AssetsFirst)
     names = context.settings.web.names_elsewhere
-    app.add_middleware(RequestGuard, audit_rejection=context.doors.audit_rejection, names_elsewhere=names)
+    app.add_middleware(
+        RequestGuard, audit_rejection=context.access_policy.audit_rejection, names_elsewhere=names
+    )

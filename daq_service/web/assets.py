@@ -1,4 +1,4 @@
-"""The dashboard's files: a fixed list read once, so that no request names a path on disk."""
+"""Files of the dashboard: a fixed list read once, so that no request names a path on disk."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ IMPORTED = re.compile(rb'^(?:import|export)\b[^;"]*"(\.[^"]+)";', re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Asset:
-    """One file as it goes out."""
+    """File of the dashboard, also compressed."""
 
     content: bytes
     compressed: bytes
@@ -47,17 +47,17 @@ class Asset:
 
 @cache
 def assets() -> dict[str, Asset]:
-    """All files of the dashboard by their path in the URL."""
-    found = {}
+    """Return all files of the dashboard by their path in the URL."""
+    contents = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
-            found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
-    # Named in the page, modules are asked for at once, not each after whoever imports it was read. Those of
-    # the first picture go alone: the others wait in a template, which a browser does not look into.
-    soon = [FIRST, *modules(found, FIRST)]
-    later = [SCRIPT, *(name for name in modules(found, SCRIPT) if name not in soon)]
-    found[PAGE] = found[PAGE].replace(b"</head>", _preloads(soon) + b"</head>")
-    found[PAGE] = found[PAGE].replace(LATER, LATER + _preloads(later))
+            contents[path.relative_to(FOLDER).as_posix()] = read_shared(path)
+    # Modules named in the page are requested at once, not each after its importer. Only those of the first
+    # view are preloaded: the others wait in a template, which a browser does not read.
+    preloaded = [FIRST, *modules(contents, FIRST)]
+    deferred = [SCRIPT, *(name for name in modules(contents, SCRIPT) if name not in preloaded)]
+    contents[PAGE] = contents[PAGE].replace(b"</head>", _preloads(preloaded) + b"</head>")
+    contents[PAGE] = contents[PAGE].replace(LATER, LATER + _preloads(deferred))
     return {
         name: Asset(
             content,
@@ -65,7 +65,7 @@ def assets() -> dict[str, Asset]:
             MEDIA_TYPES[Path(name).suffix],
             f'"{hashlib.sha256(content).hexdigest()[:20]}"',
         )
-        for name, content in found.items()
+        for name, content in contents.items()
     }
 
 
@@ -74,16 +74,16 @@ def _preloads(names: Iterable[str]) -> bytes:
 
 
 def modules(files: Mapping[str, bytes], script: str) -> list[str]:
-    """Names of all modules that a script imports, and what these import."""
-    found, waiting = {script: None}, [script]
+    """Return the names of all modules that a script imports, directly or not."""
+    names, waiting = {script: None}, [script]
     while waiting:
         name = waiting.pop()
         for match in IMPORTED.findall(files[name]):
             imported = posixpath.normpath(posixpath.join(posixpath.dirname(name), match.decode()))
-            if imported not in found:
-                found[imported] = None
+            if imported not in names:
+                names[imported] = None
                 waiting.append(imported)
-    return list(found)[1:]
+    return list(names)[1:]
 
 
 @router.get("/static/{name:path}")
@@ -93,7 +93,7 @@ async def get_asset(name: str, request: Request) -> Response:
 
 
 def answer_asset(name: str, request: Request) -> Response:
-    """Answer with one of the files, or with nothing where the browser has it already."""
+    """Return the response for a file, or 304 where the browser already has it."""
     asset = assets().get(name)
     if asset is None:
         raise not_found(
@@ -110,13 +110,13 @@ def answer_asset(name: str, request: Request) -> Response:
 
 
 class AssetsFirst:
-    """Answers with the dashboard's files before a route is looked for: a page asks for sixty at once."""
+    """Middleware that serves the files of the dashboard before routing: a page requests sixty at once."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or pass on what is no such file."""
+        """Serve a file, or pass the request on."""
         answer: ASGIApp = self._app
         if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
             name = scope["path"].removeprefix(PLACE)

@@ -1,4 +1,4 @@
-"""HTTP connections that end by themselves: a request must come soon, have few headers, and few may wait."""
+"""HTTP protocol with limits: time to the headers, their size, and the number of waiting connections."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 HEADERS_WITHIN_S = 10.0
 LARGEST_HEADERS_BYTES = 32 * 1024
 MOST_WAITING, MOST_WAITING_OF_ADDRESS = 256, 64
-"""Connections without a complete request: in all, and of one address, which all users of a proxy share."""
+"""Connections without a complete request: in total, and per address, which users of a proxy share."""
 LOOK_EVERY_S = 2.5
-"""Closed for their number at the second look: a thousand programs that connect together take seconds."""
+"""Excess connections are closed at the second check: a thousand simultaneous clients take seconds."""
 SPARE_CONNECTIONS = 16
-"""Beyond the limit, answered that there are too many. At the limit, the one that waits longest must go."""
+"""Connections above the limit, answered with an error. At the limit, the longest waiting one is closed."""
 
 
 class BoundedHttp(HttpToolsProtocol):
-    """Uvicorn's protocol, which by itself waits for ever and takes any number of headers and connections.
+    """Uvicorn's HTTP protocol with limits of time, headers and connections, which it does not have itself.
 
-    What it answers itself is plain text; a request with complete headers is answered by the application.
+    Its own answers are plain text; a request with complete headers is answered by the application.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._headers_bytes, self._in_headers = 0, True
-        self._since_s, self._looks = 0.0, 0
+        self._since_s, self._n_checks = 0.0, 0
         self._waiting: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as uvicorn's
@@ -37,15 +37,15 @@ class BoundedHttp(HttpToolsProtocol):
         self._await_request()
         most = self.limit_concurrency
         if most is not None and (over := len(self.connections) - most) >= 0:
-            oldest = min(self._all_waiting(), key=lambda one: one._since_s)
+            oldest = min(self._all_waiting(), key=lambda connection: connection._since_s)
             if oldest is not self or over >= SPARE_CONNECTIONS:
-                oldest._request_has_come()
+                oldest._stop_waiting()
                 oldest.transport.abort()
                 self.connections.discard(oldest)  # at once: this one's request is answered
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop waiting."""
-        self._request_has_come()
+        self._stop_waiting()
         super().connection_lost(exc)
 
     def on_message_begin(self) -> None:
@@ -60,12 +60,12 @@ class BoundedHttp(HttpToolsProtocol):
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
-        """Wait no longer: the body is complete, too."""
-        self._request_has_come()
+        """Stop waiting: the body is complete, too."""
+        self._stop_waiting()
         super().on_message_complete()
 
     def data_received(self, data: bytes) -> None:
-        """Read on, unless the headers grow without end."""
+        """Process received data; refuse headers that are too large."""
         if self.transport.is_closing():
             return
         super().data_received(data)
@@ -76,50 +76,56 @@ class BoundedHttp(HttpToolsProtocol):
 
     def _await_request(self) -> None:
         self._headers_bytes, self._in_headers = 0, True
-        self._since_s, self._looks = time.monotonic(), 0
-        self._look_later()
+        self._since_s, self._n_checks = time.monotonic(), 0
+        self._schedule_check()
 
-    def _look_later(self) -> None:
-        self._waiting = self.loop.call_later(min(LOOK_EVERY_S, HEADERS_WITHIN_S), self._waited)
+    def _schedule_check(self) -> None:
+        self._waiting = self.loop.call_later(min(LOOK_EVERY_S, HEADERS_WITHIN_S), self._check_waiting)
 
-    def _request_has_come(self) -> None:
+    def _stop_waiting(self) -> None:
         if self._waiting is not None:
             self._waiting.cancel()
             self._waiting = None
 
-    def _answering(self) -> bool:
+    def _is_answering(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
 
     def _all_waiting(self) -> list[BoundedHttp]:
-        return [one for one in self.connections if isinstance(one, BoundedHttp) and one._waiting is not None]
+        return [
+            connection
+            for connection in self.connections
+            if isinstance(connection, BoundedHttp) and connection._waiting is not None
+        ]
 
-    def _others_wait(self) -> bool:
-        """Whether more wait than may; a proxy sends complete requests, so its many users count little."""
+    def _too_many_wait(self) -> bool:
+        """Return whether too many connections wait; a proxy sends complete requests, so it hardly counts."""
         waiting = self._all_waiting()
-        own = sum((one.client or ("",))[0] == (self.client or ("",))[0] for one in waiting)
-        return len(waiting) > MOST_WAITING or own > MOST_WAITING_OF_ADDRESS
+        same_address = sum(
+            (connection.client or ("",))[0] == (self.client or ("",))[0] for connection in waiting
+        )
+        return len(waiting) > MOST_WAITING or same_address > MOST_WAITING_OF_ADDRESS
 
-    def _waited(self) -> None:
-        self._looks += 1
-        if self._in_headers and self._answering():  # the next request may take until this one is answered
-            self._look_later()
+    def _check_waiting(self) -> None:
+        self._n_checks += 1
+        if self._in_headers and self._is_answering():  # the next request may take until this one is answered
+            self._schedule_check()
         elif self._in_headers and time.monotonic() - self._since_s >= HEADERS_WITHIN_S:
             self._refuse(HTTPStatus.REQUEST_TIMEOUT)
-        # Between two looks the loop reads: what has arrived by then is not closed unread.
-        elif self._looks > 1 and self._others_wait():
+        # Between two checks the loop reads: data that have arrived are not discarded unread.
+        elif self._n_checks > 1 and self._too_many_wait():
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE)
         else:
-            self._look_later()
+            self._schedule_check()
 
     def _refuse(self, status: HTTPStatus) -> None:
-        self._request_has_come()
-        told = (
+        self._stop_waiting()
+        message = (
             f"{status.phrase}: a request's headers must come within {HEADERS_WITHIN_S:g} s and take at most "
             f"{LARGEST_HEADERS_BYTES} bytes; {MOST_WAITING_OF_ADDRESS} connections of an address may wait\n"
         )
-        if not self._answering():
+        if not self._is_answering():
             self.transport.write(
                 f"HTTP/1.1 {status.value} {status.phrase}\r\nContent-Type: text/plain; charset=utf-8\r\n"
-                f"Content-Length: {len(told)}\r\nConnection: close\r\n\r\n{told}".encode()
+                f"Content-Length: {len(message)}\r\nConnection: close\r\n\r\n{message}".encode()
             )
         self.transport.close()

@@ -1,4 +1,4 @@
-"""What the routes share: settings, data folder, catalogue, hub, live pictures, freshness."""
+"""Shared parts of the routes: settings, data folder, catalogue, hub, live figures, freshness."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ from daq_service.web.streams.live_figures import LiveFigures
 
 
 class CatalogueEvents:
-    """The catalogue's events as the hub wants them (`hub.EventSource`)."""
+    """Events of the catalogue for the hub (`hub.EventSource`)."""
 
     def __init__(self, access: CatalogueAccess) -> None:
         self._access = access
         self._epoch_utc_ns: int | None = None
 
     def last_id(self) -> int | None:
-        """Id of the newest event; None before the first record."""
+        """Return the id of the newest event; None before the first record."""
         try:
             return self._access.get().last_event_id()
         except NoDataYetError:
             return None
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Events behind an id, with RFC 3339 times."""
+        """Return events after an id, with RFC 3339 times."""
         try:
             catalogue = self._access.get()
         except NoDataYetError:
@@ -65,16 +65,16 @@ class CatalogueEvents:
 
 
 class Context:
-    """One test's shared parts, reached by `ContextOf`.
+    """Shared parts of one test, injected by `ContextOf`.
 
     Parameters
     ----------
-    doors
-        Of a service that has several tests; None: the test's own.
+    access_policy
+        Policy of a service with several tests; None: the test's own.
     no_person
-        No token is asked for.
+        No token is required.
     open_streams
-        How many streams of events that service has open; None: it has those of this test alone.
+        Counts the open event streams of that service; None: only those of this test.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Context:
         settings: Settings,
         data_folder: Path,
         *,
-        doors: AccessPolicy | None = None,
+        access_policy: AccessPolicy | None = None,
         no_person: bool = False,
         open_streams: Callable[[], int] | None = None,
     ) -> None:
@@ -93,53 +93,53 @@ class Context:
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)
         self.live = LiveFigures(data_folder / "live", settings.positions)
-        self.doors = doors or AccessPolicy(settings.web, data_folder, no_person=no_person)
-        self.audit = self.doors.audit if doors is None else Audit(data_folder)
+        self.access_policy = access_policy or AccessPolicy(settings.web, data_folder, no_person=no_person)
+        self.audit = self.access_policy.audit if access_policy is None else Audit(data_folder)
         self.waterfall = WaterfallReader(self.archive)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
         self.open_streams = open_streams or (lambda: self.hub.clients)
         self.first_answers: tuple[float, Mapping[bytes, bytes]] = (-math.inf, {})
-        """When they were read, by the monotonic clock, and what the page brings along, by path."""
+        """Monotonic time of reading, and the answers embedded in the page, by path."""
         self._has_data = False
 
     @asynccontextmanager
-    async def followed(self) -> AsyncIterator[None]:
-        """Follow events and pictures, and notify, as long as this lasts; then close the catalogue."""
+    async def run_background_tasks(self) -> AsyncIterator[None]:
+        """Follow events and live figures, and notify, while the context is open; then close the catalogue."""
         await self.hub.start()
         await self.live.start()
         self.notifications.start()
-        leaving = Event()
-        beating = create_task(self._beat(leaving))
+        stopping = Event()
+        heartbeat_task = create_task(self._send_heartbeats(stopping))
         try:
             yield
         finally:
-            leaving.set()
+            stopping.set()
             self.close_streams()
-            await beating
+            await heartbeat_task
             await self.hub.join()
             await self.live.join()
             await to_thread(self.notifications.join)
             self.catalogue_access.close()
 
-    async def _beat(self, leaving: Event) -> None:
-        """Advance the heartbeat by the event loop itself, and end it where the service ends in order."""
+    async def _send_heartbeats(self, stopping: Event) -> None:
+        """Write the heartbeat from the event loop, and mark its end where the service ends in order."""
         if await to_thread((self.data_folder / BACKUP_FILE).exists):
             return
         heartbeat = Heartbeat(self.data_folder, deadline_s=WEB_DEADLINE_S, file=WEB_FILE)
-        while not leaving.is_set():
+        while not stopping.is_set():
             await to_thread(heartbeat.beat, "serving")
             with suppress(TimeoutError):
-                await wait_for(leaving.wait(), WEB_BEATS_EVERY_S)
+                await wait_for(stopping.wait(), WEB_BEATS_EVERY_S)
         heartbeat.stage = "ended"
         await to_thread(heartbeat.beat, "leaving", at_once=True)
 
     def catalogue(self) -> Catalogue:
-        """Open catalogue, or the problem "no data yet" before the first set, or that it is lost."""
+        """Return the open catalogue; raise a problem before the first set, or where it is lost."""
         try:
             catalogue = self.catalogue_access.get()
         except NoDataYetError:
-            if told := lost_reason(self.data_folder):
-                raise catalogue_lost(told) from None
+            if reason := lost_reason(self.data_folder):
+                raise catalogue_lost(reason) from None
             raise no_data_yet() from None
         if not self._has_data:
             if not catalogue.rows(SetRow, limit=1):
@@ -148,7 +148,7 @@ class Context:
         return catalogue
 
     def has_data(self) -> bool:
-        """Tell whether anything is stored, without an error where there is not."""
+        """Return whether anything is stored, without an error otherwise."""
         try:
             self.catalogue()
         except (Problem, StorageError):
@@ -156,19 +156,19 @@ class Context:
         return True
 
     def close_streams(self) -> None:
-        """End every open stream; called before the server waits for its answers."""
+        """End every open stream; called before the server waits for its responses."""
         self.waterfall.close()
         self.hub.close()
         self.live.close()
         self.notifications.close()
 
-    def known(self, position: str) -> str:
-        """Check the name of a position (it becomes part of file names).
+    def checked_position(self, position: str) -> str:
+        """Check and return the name of a position (it becomes part of file names).
 
         Raises
         ------
         Problem
-            404: this experiment has no such position.
+            404: this test has no such position.
         """
         if position not in self.settings.positions:
             raise not_found(
@@ -178,12 +178,12 @@ class Context:
         return position
 
     def freshness(self) -> Freshness:
-        """How fresh the catalogue is at this moment."""
+        """Return the present freshness of the catalogue."""
         return Freshness(self)
 
 
 class Freshness(freshness.Freshness):
-    """The same for answers: times as text."""
+    """Freshness for answers, with times as text."""
 
     def __init__(self, context: Context) -> None:
         self._catalogue = context.catalogue()
@@ -194,46 +194,46 @@ class Freshness(freshness.Freshness):
         return self._catalogue.baselines_by_id()
 
     def as_of(self) -> dict[str, Any]:
-        """Answer part `as_of`."""
+        """Return the part `as_of` of an answer."""
         return {
             "clock": self.clock,
             "now_utc": rfc3339(self.now_utc_ns),
             "now_h": self.now_h,
             "last_write_wall_utc": rfc3339(self.written_ns),
             "wall_age_s": self.wall_age_s,
-            "recorder": self.recorder.word,
+            "recorder": self.recorder.status,
         }
 
     def utc_of(self, hour: float) -> str | None:
-        """RFC 3339 time of an hour of the experiment."""
+        """Return the RFC 3339 time of an hour of the test."""
         return rfc3339_of_hour(self.epoch_utc_ns, hour)
 
-    def row(self, row: Row, **beside: Any) -> dict[str, Any]:
-        """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""
+    def row(self, row: Row, **extra_columns: Any) -> dict[str, Any]:
+        """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
             row = self.standing(row)
-            beside |= {"proof_sentences": proof_sentences(row, self._baselines)}
-        answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
+            extra_columns |= {"proof_sentences": proof_sentences(row, self._baselines)}
+        answer = with_utc({**values(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}
 
 
 def context_of(app: FastAPI) -> Context:
-    """Shared parts of an application."""
+    """Return the shared parts of an application."""
     context = app.state.context
     assert isinstance(context, Context)
     return context
 
 
 def context_at(connection: HTTPConnection) -> Context:
-    """Shared parts that a request is about: of the test it was handed to, else of its application."""
+    """Return the shared parts of the test of a request, or else of its application."""
     context = getattr(connection.state, "test", None)
     return context if isinstance(context, Context) else context_of(connection.app)
 
 
-async def _context_at(connection: HTTPConnection) -> Context:
-    """As `context_at`: a plain function would cost each request a thread, and a place in their line."""
+async def _context_dependency(connection: HTTPConnection) -> Context:
+    """Return `context_at`; as a coroutine it needs no thread of the pool."""
     return context_at(connection)
 
 
-ContextOf = Annotated[Context, Depends(_context_at)]
+ContextOf = Annotated[Context, Depends(_context_dependency)]

@@ -1,4 +1,4 @@
-"""What stands before every route: host, origin and size of a request, headers of an answer.
+"""Guard before every route: checks host, origin and size of a request, sets headers of the response.
 
 Plain ASGI, because Starlette's `BaseHTTPMiddleware` would buffer the streams.
 """
@@ -20,12 +20,12 @@ from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 LARGEST_BODY_BYTES = 64 * 1024
 BODY_WITHIN_S = 10.0
 FOREIGN = frozenset({"foreign-host", "foreign-origin"})
-"""Refusals that are audited: somebody else's page has tried."""
-Tell = Callable[[Scope, str], Awaitable[None]]
+"""Refusals that are audited, since they come from a foreign page."""
+RejectionAuditor = Callable[[Scope, str], Awaitable[None]]
 EVENTS = "/api/v1/stream"
-"""Of each test. No browser shows a foreign page what it reads there, but it would take one of the streams."""
+"""Event stream of each test. A foreign page cannot read it, but would occupy one of the streams."""
 STREAMS_AT_ONCE = 8
-"""Begun before everybody else has been looked at: a thousand come back together when the service is there."""
+"""Streams started before other requests get a turn: a thousand clients reconnect after a restart."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -41,13 +41,12 @@ ANSWER_HEADERS: Mapping[str, str] = {
 
 
 class RequestGuard:
-    """Refuses foreign hosts and origins and oversized bodies; names the request; sets the headers.
+    """Middleware that refuses foreign hosts, foreign origins and large bodies, and sets headers.
 
     A browser page of another site can send requests to this machine. `Host` stops DNS rebinding,
     `Origin` and `Sec-Fetch-Site` stop cross-site writes and WebSockets, which no browser keeps
-    within its origin by itself. Programs that are no browser send no Origin and are let through: others
-    than this machine's need a token (`doors.entry`), and whoever runs on it as this user could write the
-    data folder anyway.
+    within its origin by itself. Programs that are no browser send no Origin and pass: from other
+    machines they need a token (`auth.middleware`), and on this one they could write the data folder anyway.
     """
 
     def __init__(
@@ -55,14 +54,14 @@ class RequestGuard:
         app: ASGIApp,
         *,
         names_elsewhere: frozenset[str] = frozenset(),
-        audit_rejection: Tell | None = None,
+        audit_rejection: RejectionAuditor | None = None,
     ) -> None:
-        self._app, self._tell_refused = app, audit_rejection
+        self._app, self._audit_rejection = app, audit_rejection
         self._names = names_elsewhere | LOOPBACK.keys()
         self._streams_entering = asyncio.Semaphore(STREAMS_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a good request on, answer a bad one."""
+        """Pass a valid request on, and answer an invalid one."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
@@ -72,7 +71,7 @@ class RequestGuard:
         name = uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = name
         headers = Headers(scope=scope)
-        problem = _refusal(scope, headers, self._names)
+        problem = _find_problem(scope, headers, self._names)
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
@@ -93,15 +92,15 @@ class RequestGuard:
                 if body is None:
                     problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
                 else:
-                    receive = _replayed(body, receive)
-        if problem is not None and problem.name in FOREIGN and self._tell_refused is not None:
-            await self._tell_refused(scope, problem.detail)
-        answering = self._app if problem is None else problem_response(scope, problem)
-        await answering(scope, receive, send_with_headers)
+                    receive = _replay_body(body, receive)
+        if problem is not None and problem.name in FOREIGN and self._audit_rejection is not None:
+            await self._audit_rejection(scope, problem.detail)
+        application = self._app if problem is None else problem_response(scope, problem)
+        await application(scope, receive, send_with_headers)
 
 
 async def _read_body(receive: Receive) -> bytes | None:
-    """Whole body of a write; None once it passes the limit, whatever Content-Length said."""
+    """Read the complete body of a write; None once it exceeds the limit, independent of Content-Length."""
     body = b""
     while True:
         message = await receive()
@@ -113,13 +112,13 @@ async def _read_body(receive: Receive) -> bytes | None:
             return body
 
 
-def _replayed(body: bytes, receive: Receive) -> Receive:
-    """`receive` that hands out the body once, then what the server says."""
-    waiting = [body]
+def _replay_body(body: bytes, receive: Receive) -> Receive:
+    """Return a `receive` that returns the body once, and then the messages of the server."""
+    unread = [body]
 
     async def replay() -> Message:
-        if waiting:
-            return {"type": "http.request", "body": waiting.pop(), "more_body": False}
+        if unread:
+            return {"type": "http.request", "body": unread.pop(), "more_body": False}
         return await receive()
 
     return replay
@@ -145,7 +144,7 @@ def _too_slow() -> Problem:
     )
 
 
-def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
+def _find_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             431,
@@ -154,7 +153,7 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
             "Clear the cookies of this address.",
         )
-    host = _all_of(headers, "host")
+    host = _joined_header(headers, "host")
     if _hostname(f"//{host}") not in names:
         return Problem(
             400,
@@ -164,10 +163,10 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             "Open the address that the service printed, or name this one in web.host_names.",
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
-    origin = _all_of(headers, "origin")
-    is_foreign = "cross-site" in _all_of(headers, "sec-fetch-site") and _hostname(origin) not in names
+    origin = _joined_header(headers, "origin")
+    is_foreign = "cross-site" in _joined_header(headers, "sec-fetch-site") and _hostname(origin) not in names
     reads_across = "/api/" in scope["path"] and is_foreign
-    if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers)):
+    if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not is_same_origin(headers)):
         return Problem(
             403,
             "foreign-origin",
@@ -189,14 +188,14 @@ def _hostname(address: str) -> str | None:
         return None
 
 
-def _all_of(headers: Headers, name: str) -> str:
-    """Every header of a name in one text: a proxy and this service might believe different ones."""
+def _joined_header(headers: Headers, name: str) -> str:
+    """Return all headers of a name in one text: a proxy and this service might use different ones."""
     return ", ".join(headers.getlist(name))
 
 
-def same_origin(headers: Headers) -> bool:
-    """Tell that no browser of another origin sent this request."""
-    host = _all_of(headers, "host")
-    return _all_of(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _all_of(
+def is_same_origin(headers: Headers) -> bool:
+    """Return whether the request comes from no browser, or from a page of the same origin."""
+    host = _joined_header(headers, "host")
+    return _joined_header(headers, "sec-fetch-site") in {"", "same-origin", "none"} and _joined_header(
         headers, "origin"
     ) in {"", f"http://{host}", f"https://{host}"}

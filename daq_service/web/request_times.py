@@ -1,4 +1,4 @@
-"""How long answers take, by route: until their first byte, so that streams count as well."""
+"""Response times by route, until the first byte, so that streams count as well."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 
 
 class AnswerTimes:
-    """A histogram with a registry of its own: two applications of a process share nothing."""
+    """Histogram with a separate registry, so that two applications of a process share nothing."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -25,24 +25,24 @@ class AnswerTimes:
 
 
 class RequestTimes:
-    """Plain ASGI, since Starlette's `BaseHTTPMiddleware` would buffer the streams."""
+    """Timing middleware in plain ASGI, since Starlette's `BaseHTTPMiddleware` would buffer the streams."""
 
     def __init__(self, app: ASGIApp, times: AnswerTimes) -> None:
         self._app = app
         self._times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on and look at the clock when its answer begins."""
+        """Pass a request on, and record the time until its response starts."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        begun_s = time.perf_counter()
+        started_s = time.perf_counter()
 
         async def send_timed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 # The route's pattern: what a client writes into a path must not become a label.
                 route = getattr(scope.get("route"), "path", "none")
-                self._times.histogram.labels(route).observe(time.perf_counter() - begun_s)
+                self._times.histogram.labels(route).observe(time.perf_counter() - started_s)
             await send(message)
 
         await self._app(scope, receive, send_timed)

@@ -1,4 +1,4 @@
-"""Our own uvicorn server: binds the port itself, and ends in bounded time with streams open."""
+"""Uvicorn server that binds the port itself, and ends in limited time with open streams."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from daq_service.web.bounded_http import SPARE_CONNECTIONS, BoundedHttp
 from daq_service.web.context import context_of
 
 LONGEST_SHUTDOWN_S = 1
-"""Streams close at once; this bounds a request that hangs in a thread."""
+"""Streams close at once; this limits a request that hangs in a thread."""
 HANDSHAKE_WITHIN_S = 10.0
-"""As headers; by itself asyncio waits for a minute for somebody who connects and never speaks TLS."""
+"""Limit of the TLS handshake, as for headers; the default of asyncio is a minute."""
 COLLECTED_AFTER = (50_000, 20, 50)
-"""Objects made, younger looks, middle looks before the collector looks at the youngest, at more, at all."""
+"""Thresholds of the garbage collector for its three generations."""
 TICKS_OF_A_BEAT = 10
 MOST_CONNECTIONS = 2500
-"""Some hundreds more than streams: other requests are still served."""
+"""Some hundreds more than the maximum of streams, for other requests."""
 KEPT_HANDLES = 32
-"""Of the process, for notifications."""
+"""Handles of the process reserved for notifications."""
 OWN_HANDLES = 160
-"""Of the process, for its files, databases and libraries."""
+"""Handles of the process for its files, databases and libraries."""
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to the caller when it brings its own stop event."""
+    """Uvicorn server that leaves signals to a caller with a stop event."""
 
     def __init__(
         self, config: uvicorn.Config, close_streams: Callable[[], None], stop: threading.Event | None
@@ -48,7 +48,7 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Install uvicorn's handlers only where nobody else decides when to stop."""
+        """Install uvicorn's signal handlers only without a stop event."""
         if self._stop is not None:
             yield
             return
@@ -56,7 +56,7 @@ class _Server(uvicorn.Server):
             yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Look at the stop event, ten times a second, and beat at each tenth look."""
+        """Check the stop event ten times a second, and call `on_beat` at each tenth check."""
         if counter % TICKS_OF_A_BEAT == 0:
             self.on_beat()
         if self._stop is not None and self._stop.is_set():
@@ -64,25 +64,25 @@ class _Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Say goodbye to the streams first: uvicorn waits for every open answer."""
+        """Close the streams first, since uvicorn waits for every open response."""
         self._close_streams()
         await super().shutdown(sockets)
 
 
 def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
-    """Listen on an address of this computer; port 0 takes a free one.
+    """Return a socket that listens on an address of this computer; port 0 takes a free one.
 
     Parameters
     ----------
     locked
-        Others may come: tokens and encryption are seen to (`doors.entry.refuse_open_doors`).
+        Others may connect: tokens and encryption are checked (`middleware.refuse_unprotected_service`).
 
     Raises
     ------
     UsageError
-        The address is reachable from elsewhere, and nothing locks it; or it is none of this computer.
+        The address is reachable from elsewhere without protection, or is none of this computer.
     BusyError
-        Somebody else has the port.
+        Another process uses the port.
     """
     if host not in LOOPBACK and not locked:
         raise UsageError(
@@ -117,7 +117,7 @@ def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
 
 
 def most_connections() -> int:
-    """Raise the process's limit of open handles as far as it goes, and return how many connections fit."""
+    """Raise the limit of open handles of the process, and return the number of connections that fit."""
     if sys.platform == "win32":  # no such limit
         return MOST_CONNECTIONS
     import resource
@@ -132,10 +132,10 @@ def most_connections() -> int:
 
 
 def collect_garbage_seldom() -> None:
-    """Look for garbage in cycles less often, and never in what stays until the process ends.
+    """Collect cyclic garbage less often, and never in objects that live until the process ends.
 
-    A thousand streams are half a million objects: the collector's usual looks through all of them, some while
-    they connect and one before the first event, held everybody up for a quarter of a second each.
+    A thousand streams are half a million objects: each default collection blocks all requests for a
+    quarter of a second.
     """
     gc.collect()
     gc.freeze()
@@ -145,7 +145,7 @@ def collect_garbage_seldom() -> None:
 def _loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
-    if config.is_ssl:  # uvicorn cannot be told so
+    if config.is_ssl:  # uvicorn has no such option
         create_server = partial(loop.create_server, ssl_handshake_timeout=HANDSHAKE_WITHIN_S)
         loop.create_server = create_server  # type: ignore[method-assign] # narrower by a default
     return loop
@@ -169,11 +169,11 @@ def serve(
     on_bound
         Called with the URL once connections are accepted.
     close_streams
-        Called before the last answers are waited for; None: the service's own.
+        Called before the last responses are awaited; None: that of the service.
     locks
-        Certificate and proxy of a service that others may reach; None: this machine only, nothing encrypted.
+        Certificate and proxy of a reachable service; None: this machine only, without encryption.
     on_beat
-        Called by the event loop once a second: an event loop that stalls calls it no longer.
+        Called by the event loop once a second, unless it stalls.
     """
     locks = locks or WebSettings()
     listener = bind(host, port, locked=locks.is_reachable)

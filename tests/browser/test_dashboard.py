@@ -16,7 +16,7 @@ from support.waiting import until
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import kept_now, write_kept
+from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
@@ -143,7 +143,7 @@ def see_the_supply_and_climate(filled, page):
     expect(climate).to_contain_text("Stale")
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
     off = DriveState(tripped="no recorder was heard for 600 s", must_switch_off=True)
-    write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
+    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
     now = strip.locator('[data-quality="lost"]')
     expect(now).to_contain_text("Supply now")

@@ -16,7 +16,7 @@ from daq_service.assessment.baseline_lifecycle import renewed
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import kept_now, write_kept
+from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -295,7 +295,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     filled.add_environment(index)
     filled.say("hold", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
     off = DriveState(tripped="no recorder was heard")
-    write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
+    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
     filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")
     page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")

@@ -29,7 +29,7 @@ def test_a_receiver_is_tried_by_keyboard_and_a_dead_one_is_a_warning(tmp_path, o
             expect(button).to_be_focused()
             card.locator("summary").press("Enter")
             expect(card.locator("tbody tr").first).to_contain_text("tested")
-            state = service.app.state.context.notifications.lines["duty"].state
+            state = service.app.state.context.notifications.queues["duty"].state
             state.failing_since_utc_ns = 1_700_000_000 * 10**9
             state.last_failure = "no answer within 15 s"
             page.reload()

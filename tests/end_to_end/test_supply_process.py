@@ -26,9 +26,9 @@ from daq_service.cli.run import remote_drive, start_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.channel import connect
-from daq_service.corrosion_drive.guard import LOOK_EVERY_S, DriveGuard
+from daq_service.corrosion_drive.guard import CHECK_EVERY_S, DriveGuard
 from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.corrosion_drive.supply_state import address_of, look_at_drive
+from daq_service.corrosion_drive.supply_state import address_of, read_supply_status
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
     DRIVE_FILE,
@@ -183,7 +183,7 @@ class Test:
         )
         recorder.start()
         try:
-            until(lambda: look_at_drive(self.folder), "the drive")
+            until(lambda: read_supply_status(self.folder), "the drive")
             yield
         finally:
             stop.set()
@@ -236,7 +236,7 @@ class Test:
         until(lambda: not self.instruments.supply.on, "the unwatched supply is off")
         until(self.drive_has_left, "the process of the drive has left")
         assert self.switchings() == [True, False]
-        now = look_at_drive(self.folder)
+        now = read_supply_status(self.folder)
         assert now is not None
         assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
         said = describe_status(self.folder, Settings())["supply"]["description"]
@@ -346,14 +346,14 @@ def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_sw
     remote = RemoteDrive(sooner.rig.supply, test.folder, start, watches=False, mono_s=lambda: now_s[0])
     with remote:
         guard = DriveGuard(test.folder, remote, check_every_s=600.0, mono_s=lambda: now_s[0])
-        guard.look()
+        guard.check()
         assert len(started) == 1
         until(lambda: not test.instruments.supply.on, "the supply is off")
         until(test.drive_has_left, "the process of the drive has left")
         assert test.switchings() == [True, False]
         ended(started[0], "the drive")
-        now_s[0] += LOOK_EVERY_S
-        guard.look()
+        now_s[0] += CHECK_EVERY_S
+        guard.check()
         assert len(started) == 1, "it was left off"
 
 
@@ -448,7 +448,8 @@ def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_
         with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment) as process:
             try:
                 until(
-                    lambda: (now := look_at_drive(test.folder)) is not None and now.state == "on", "a reading"
+                    lambda: (now := read_supply_status(test.folder)) is not None and now.state == "on",
+                    "a reading",
                 )
                 second = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
                 process.terminate()

@@ -26,7 +26,7 @@ class DriveRig(SerialRig):
         return SupplyLogger(self.supply, self.clock, self.supply_parameters, state)
 
     def summary(self):
-        return summary(self.climate_log.added_to(self.drive.row(0, 0.0)))
+        return summary(self.climate_log.add_to_row(self.drive.row(0, 0.0)))
 
     def run(self, seconds):
         for _ in range(round(seconds)):

@@ -20,15 +20,14 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.corrosion_drive import remote
-from daq_service.corrosion_drive import supply_state as kept
+from daq_service.corrosion_drive import remote, supply_state
 from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
 from daq_service.corrosion_drive.guard import DriveGuard
 from daq_service.corrosion_drive.own_process import SUCCEEDED_WITHIN_S, DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import RemoteDrive, answered_within_s
-from daq_service.corrosion_drive.supply_state import Address, own_drive
+from daq_service.corrosion_drive.supply_state import Address, hold_supply_lock
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
 from hardware_drivers.errors import ConnectionLostError
@@ -65,7 +64,7 @@ class Process:
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=fingerprint(parameters))
         self.job: Callable[[], None] | None = None
         self.drive = DriveProcess(
-            lambda: own_drive(world.folder, address),
+            lambda: hold_supply_lock(world.folder, address),
             lambda: world.port(parameters.line.port),
             parameters,
             world.folder,
@@ -176,9 +175,9 @@ class Supervision(RuleBasedStateMachine):
         self.folder = Path(tempfile.mkdtemp())
         self.world = World(self.folder)
         self.patch = pytest.MonkeyPatch()
-        for module in (kept, remote):
+        for module in (supply_state, remote):
             self.patch.setattr(module, "elapsed_ns", self.world.clock.mono_ns)
-        self.patch.setattr(kept, "write_durably", self._write)
+        self.patch.setattr(supply_state, "write_durably", self._write)
         logging.disable(logging.CRITICAL)
         self.supervisor: DriveGuard | None = None
         self.guarding: RemoteDrive | None = None
@@ -210,7 +209,7 @@ class Supervision(RuleBasedStateMachine):
             if self.recorder is not None and not self.recorder_stalled:
                 self.recorder.tick()
             if self.supervisor is not None:
-                self.supervisor.look()
+                self.supervisor.check()
             self.world.run()
             self.check()
 

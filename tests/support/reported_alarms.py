@@ -11,15 +11,15 @@ from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
-from daq_service.processes.notifications.receiver import ReceiverLine
+from daq_service.processes.notifications.receiver import ReceiverQueue
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.new_experiment import new_catalogue
 
-TAKEN = Outcome(ok=True, told="taken (204)", status=204)
-DEAD = Outcome(ok=False, told="no answer within 15 s")
+TAKEN = Outcome(ok=True, description="taken (204)", status=204)
+DEAD = Outcome(ok=False, description="no answer within 15 s")
 BEGAN_NS = 1_700_000_000 * NS_PER_S
 DUTY = {"url": "http://127.0.0.1:1/hook", "secret_env": "DUTY_SECRET"}
 
@@ -88,9 +88,9 @@ class Bench:
     def now_ns(self) -> int:
         return BEGAN_NS + round(self.mono_s * NS_PER_S)
 
-    def restarted(self, *, name: str = "duty") -> ReceiverLine:
+    def restarted(self, *, name: str = "duty") -> ReceiverQueue:
         """Begin as a new process does: only what is on the disk is known."""
-        self.line = ReceiverLine(
+        self.line = ReceiverQueue(
             name,
             self.settings.notifications,
             Source(self.settings, self.folder, lambda: self.alarms.catalogue),

@@ -21,7 +21,7 @@ from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.processes.disk_policy import disk_space
-from daq_service.processes.lost_catalogue import history_of, lost_catalogue, lost_reason
+from daq_service.processes.lost_catalogue import is_catalogue_lost, lost_reason, read_folder_history
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording.experiment import kept_experiment
 from daq_service.settings.tree import Settings
@@ -148,8 +148,8 @@ def _owner(settings: Settings, folder: Path) -> Check:
     name, own_hash = "data folder: configuration", settings.configuration_hash()
     try:
         check_owner(settings, folder)
-        if lost_catalogue(folder):  # then the sets identify the test
-            experiment = kept_experiment(folder, history_of(folder), FolderSetReader(folder))
+        if is_catalogue_lost(folder):  # then the sets identify the test
+            experiment = kept_experiment(folder, read_folder_history(folder), FolderSetReader(folder))
             if experiment is not None:
                 refuse_other_experiment(experiment, folder, settings)
     except StorageError as error:

@@ -115,9 +115,9 @@ def run_export(
         raise UsageError(f"--{_word(hdf5, table)} wants --out FILE")
     if table is not None:
         from daq_service.cli.maintenance.export_table import export_table
-        from daq_service.web.tables.choice import chosen
+        from daq_service.web.tables.choice import check_choice
 
-        choice = chosen(table, **given)
+        choice = check_choice(table, **given)
         return _print_files(export_table(data_dir, choice, targets, overwrite=overwrite), as_json=as_json)
     if waveforms is not None:
         from daq_service.cli.maintenance.export_table import export_records

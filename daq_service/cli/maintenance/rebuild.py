@@ -17,7 +17,7 @@ def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
     from daq_service.recording.rebuild import rebuild
 
     folder = data_dir.absolute()
-    prepare_data_folder(folder, anew=False)
+    prepare_data_folder(folder, may_create=False)
     # Old alarms are raised again, which is of no interest here.
     logging.getLogger("daq_service.recording.set_assessor").addHandler(logging.NullHandler())
 

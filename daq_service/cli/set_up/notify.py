@@ -1,4 +1,4 @@
-"""``notify test``: send test messages to receivers from this computer as this user."""
+"""``deliver_by_apprise test``: send test messages to receivers from this computer as this user."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq_service.commands.send import user_name
 from daq_service.errors import EXIT_NOT_MET, EXIT_OK, UsageError
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.notifications.addresses import address_of
-from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Test, trial_message
 from daq_service.processes.notifications.webhook import Outcome, post
 
@@ -37,10 +37,12 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
         address = address_of(name, receiver_settings)
         message = trial_message(test, name, user_name(), now_ns=time.time_ns())
         results[name] = (
-            notify(address, message) if receiver_settings.kind == "apprise" else post(address, message)
+            deliver_by_apprise(address, message)
+            if receiver_settings.kind == "apprise"
+            else post(address, message)
         )
         if not as_json:
-            click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].told}")
+            click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].description}")
     if as_json:
         keys = ("ok", "told", "status")
         outcomes = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}

@@ -32,14 +32,14 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.commands.deadline import as_it_stands, left_now_s
-from daq_service.corrosion_drive.supply_state import described, look_at_drive
+from daq_service.corrosion_drive.supply_state import describe_supply, read_supply_status
 from daq_service.errors import StorageError
 from daq_service.processes.disk_policy import outlook
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
-from daq_service.processes.recorder_state import look_at_recorder
+from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -62,8 +62,8 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
     StorageError
         The catalogue is lost, or cannot be read.
     """
-    drive = look_at_drive(folder)
-    supply = None if drive is None else {**asdict(drive), "description": described(drive)}
+    drive = read_supply_status(folder)
+    supply = None if drive is None else {**asdict(drive), "description": describe_supply(drive)}
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
@@ -71,7 +71,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
             baselines = catalogue.newest_baselines()
             return {
                 "recorder": fresh.recorder.description,
-                "recorder_state": fresh.recorder.word,
+                "recorder_state": fresh.recorder.status,
                 "now_h": fresh.now_h,
                 "wall_age_s": fresh.wall_age_s,
                 "system_ahead_s": fresh.system_ahead_s,
@@ -104,14 +104,14 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
     except NoDataYetError:
         if reason := lost_reason(folder):
             raise StorageError(reason) from None
-        recorder = look_at_recorder(folder, [])
+        recorder = read_recorder_state(folder, [])
         recorder_ns = time_now_ns(recorder.beat)
         nothing = dict.fromkeys(
             ("now_h", "wall_age_s", "climate", "held", "counts", "next_due_h", "disk", "confirmations")
         )
         return {
             "recorder": recorder.description,
-            "recorder_state": recorder.word,
+            "recorder_state": recorder.status,
             "system_ahead_s": None if recorder_ns is None else (time.time_ns() - recorder_ns) / NS_PER_S,
             "supply": supply,
             **nothing,

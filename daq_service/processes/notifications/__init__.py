@@ -1,1 +1,1 @@
-"""Tells people and programs elsewhere of alarms; a receiver that is dead slows nothing."""
+"""Notifications of alarms to people and programs elsewhere; a dead receiver delays nothing."""

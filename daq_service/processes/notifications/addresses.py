@@ -1,4 +1,4 @@
-"""Where a receiver is reached, and its secret: read where settings say, and told to nobody."""
+"""Addresses and secrets of receivers: read from where the settings state, and never shown."""
 
 from __future__ import annotations
 
@@ -21,39 +21,45 @@ _SCHEME = re.compile(r"[a-z0-9.+-]{1,40}(?=://)")
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Address:
-    """Where, and with which secret; it has no text form, so that no log can hold it."""
+    """Address and secret of a receiver, without a text form, so that no log can hold it."""
 
     url: str
     secret: bytes
 
 
 def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ) -> Address:
-    """Read a receiver's address and secret; each time anew, so that a changed one counts at once.
+    """Read the address and the secret of a receiver; a changed one applies at once.
 
     Raises
     ------
     UsageError
-        One is missing or cannot work; what it holds is not repeated.
+        One is missing or invalid; the message does not repeat it.
     """
-    url = receiver.url or _held(name, "url", receiver.url_file, receiver.url_env, environment)
+    url = receiver.url or _configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
         if find_spec("apprise") is None:
-            raise UsageError(_of(name, 'e-mail and chat need the extra: pip install "solimon[notify]"'))
+            raise UsageError(
+                _receiver_error(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
+            )
         if not _SCHEME.match(url.lower()):
-            raise UsageError(_of(name, "the address is none of apprise; give one like mailtos://..."))
+            raise UsageError(
+                _receiver_error(name, "the address is none of apprise; give one like mailtos://...")
+            )
         return Address(url, b"")
     if refusal := refused_address(url, plain_http=receiver.plain_http):
-        raise UsageError(_of(name, f"the address is refused: {refusal}"))
-    secret = _held(name, "secret", receiver.secret_file, receiver.secret_env, environment)
+        raise UsageError(_receiver_error(name, f"the address is refused: {refusal}"))
+    secret = _configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
     if len(secret) < SHORTEST_SECRET:
         raise UsageError(
-            _of(name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more")
+            _receiver_error(
+                name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
+            )
         )
     return Address(url, secret.encode())
 
 
 def shown_address(receiver: ReceiverSettings) -> str:
-    """Say where a receiver is, without what may be secret: of an address only the host."""
+    """Return the address of a receiver without secrets: of a URL only scheme and host."""
     if receiver.url:
         parts = urlsplit(receiver.url)
         return f"{parts.scheme}://{parts.netloc}"
@@ -65,12 +71,12 @@ def shown_address(receiver: ReceiverSettings) -> str:
 
 
 def refuse_unusable(settings: NotificationSettings) -> None:
-    """Check before a start that every receiver could be told, and that rules name kinds that there are.
+    """Check before a start that every receiver has an address, and that rules name known kinds of alarms.
 
     Raises
     ------
     UsageError
-        What is missing.
+        An address, a secret or a kind is missing or unknown.
     """
     for name, receiver in settings.receivers.items():
         address_of(name, receiver)
@@ -82,23 +88,27 @@ def refuse_unusable(settings: NotificationSettings) -> None:
             )
 
 
-def _held(name: str, what: str, file: str, variable: str, environment: Mapping[str, str]) -> str:
+def _configured_text(name: str, key: str, file: str, variable: str, environment: Mapping[str, str]) -> str:
     if variable:
         text = environment.get(variable, "").strip()
         if not text:
-            told = f"the variable {variable} of {what}_env is not set; set it for the web service"
-            raise UsageError(_of(name, told))
+            problem = f"the variable {variable} of {key}_env is not set; set it for the web service"
+            raise UsageError(_receiver_error(name, problem))
         return text
     try:
         text = read_shared(Path(file)).decode().strip()
     except OSError as error:
-        raise UsageError(_of(name, f"{what}_file {file} cannot be read: {error.strerror}")) from error
+        raise UsageError(
+            _receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}")
+        ) from error
     except UnicodeDecodeError:
-        raise UsageError(_of(name, f"{what}_file {file} is not UTF-8 text; save it as such")) from None
+        raise UsageError(
+            _receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such")
+        ) from None
     if not text or len(text.splitlines()) != 1:
-        raise UsageError(_of(name, f"{what}_file {file} must hold exactly one line"))
+        raise UsageError(_receiver_error(name, f"{key}_file {file} must hold exactly one line"))
     return text
 
 
-def _of(name: str, told: str) -> str:
-    return f"notifications.receivers.{name}: {told}"
+def _receiver_error(name: str, problem: str) -> str:
+    return f"notifications.receivers.{name}: {problem}"

@@ -1,8 +1,8 @@
-"""``notifications.jsonl``: what was sent to whom, and how far each receiver has been told.
+"""``notifications.jsonl``: log of sent messages, with the progress of each receiver.
 
-Lines like those of the audit. Each line of a receiver says how far it has got, so that the newest one is all
-that a restart needs. It is written before a message goes out (`sending`) and after: what a crash cuts in
-between goes out once more, with the same events and so with the same key.
+Lines like those of the audit log. Each line holds the progress of its receiver, so a restart needs only the
+newest one. A line is written before a message is sent (`sending`) and after it: after a crash in between, the
+message is sent again with the same events and the same key.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 LOG_FILE = "notifications.jsonl"
 TABLE = "notifications"
 PAGE_LINES = 1000
-What = Literal[
+DeliveryKind = Literal[
     "began",
     "passed",
     "held_back",
@@ -36,19 +36,19 @@ What = Literal[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """How far a receiver has been told.
+class Progress:
+    """Progress of a receiver in the events of alarms.
 
     Attributes
     ----------
     cursor
-        Every event up to this id is settled: told, given up, or not for this receiver.
+        Every event up to this id is settled: sent, given up, or not for this receiver.
     cursor_wall_utc_ns
-        When that event was written: an event of another catalogue was written at another time.
+        Time at which that event was written; it differs in a rebuilt catalogue.
     settled
-        Events behind the cursor that are settled, too.
+        Settled events after the cursor.
     sending
-        Events of the message that is under way.
+        Events of the message in progress.
     """
 
     cursor: int
@@ -59,57 +59,57 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delivery:
-    """One line.
+    """One line of the delivery log.
 
     Attributes
     ----------
     told
-        What happened, for a person.
+        Result, for a person.
     place
-        None on lines that change nothing in it: trials, signs of life.
+        Progress; None on lines that do not change it: test messages, heartbeats.
     """
 
     receiver: str
-    what: What
+    what: DeliveryKind
     told: str
     event_ids: list[int] = field(default_factory=list)
     key: str = ""
     attempts: int = 0
-    place: Place | None = None
+    place: Progress | None = None
     utc_ns: int = field(default_factory=time.time_ns)
 
 
 class DeliveryLog:
-    """Adds to the log of a data folder; for any thread."""
+    """Delivery log of a data folder; thread-safe."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOG_FILE
-        self._trouble = ""
+        self._last_error = ""
 
-    def tell(self, delivery: Delivery) -> None:
-        """Add a line; a disk that refuses it keeps nobody from being told that the disk is full."""
+    def append(self, delivery: Delivery) -> None:
+        """Append a line; an error of the disk is logged, as it must not stop notifications."""
         try:
             append_line(self.path, TABLE, asdict(delivery))
         except OSError as error:
-            if str(error) != self._trouble:
+            if str(error) != self._last_error:
                 log.warning("not in %s, so a crash would repeat messages: %s", LOG_FILE, error)
-            self._trouble = str(error)
+            self._last_error = str(error)
         else:
-            self._trouble = ""
+            self._last_error = ""
 
     def read(self, *, limit: int, end: int | None = None) -> tuple[list[tuple[int, Delivery]], int | None]:
-        """Read the newest lines with their numbers, as `line_file.newest_lines`.
+        """Read the newest lines with their numbers (`line_file.newest_lines`).
 
         Raises
         ------
         OSError
             The file cannot be read.
         """
-        found, before = newest_lines(self.path, limit=limit, end=end)
-        return [(number, _delivery(row)) for number, row in found], before
+        lines, previous_end = newest_lines(self.path, limit=limit, end=end)
+        return [(number, _delivery_of(row)) for number, row in lines], previous_end
 
     def last_heartbeat_ns(self, receiver: str) -> int | None:
-        """Return when the newest noted heartbeat message was sent, ns of UTC; None: none is noted.
+        """Return when the newest logged heartbeat message was sent, ns of UTC; None: none is logged.
 
         Raises
         ------
@@ -118,33 +118,33 @@ class DeliveryLog:
         """
 
         def is_sent(row: Mapping[str, Any]) -> bool:
-            its = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
-            return its and not str(row.get("told")).startswith("withheld")
+            is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
+            return is_heartbeat and not str(row.get("told")).startswith("withheld")
 
-        found, _ = newest_lines(self.path, limit=1, wanted=is_sent)
-        return int(found[0][1]["utc_ns"]) if found else None
+        lines, _ = newest_lines(self.path, limit=1, wanted=is_sent)
+        return int(lines[0][1]["utc_ns"]) if lines else None
 
-    def places(self, receivers: Collection[str]) -> dict[str, Place]:
-        """Tell how far each receiver has got; one that was never told is missing.
+    def read_progress(self, receivers: Collection[str]) -> dict[str, Progress]:
+        """Return the progress of each receiver; a receiver without a line is missing.
 
         Raises
         ------
         OSError
             The file cannot be read.
         """
-        places: dict[str, Place] = {}
+        progress: dict[str, Progress] = {}
         end: int | None = None
-        while places.keys() < set(receivers):
-            found, end = self.read(limit=PAGE_LINES, end=end)
-            for _, line in found:
+        while progress.keys() < set(receivers):
+            lines, end = self.read(limit=PAGE_LINES, end=end)
+            for _, line in lines:
                 if line.place is not None and line.receiver in receivers:
-                    places.setdefault(line.receiver, line.place)
+                    progress.setdefault(line.receiver, line.place)
             if end is None:
                 break
-        return places
+        return progress
 
 
-def _delivery(row: object) -> Delivery:
+def _delivery_of(row: object) -> Delivery:
     assert isinstance(row, dict)
-    place = row["place"]
-    return Delivery(**{**row, "place": None if place is None else Place(**place)})
+    progress = row["place"]
+    return Delivery(**{**row, "place": None if progress is None else Progress(**progress)})

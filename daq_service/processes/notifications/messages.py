@@ -1,4 +1,4 @@
-"""What is told, in an operator's words: an alarm or a storm of them, a sign of life, a trial."""
+"""Texts of notifications: changes of alarms, heartbeats and test messages."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from daq_service.clock import format_utc
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 MOST_LISTED = 20
-"""A message spells out so many alarms and counts the rest: nobody reads more."""
+"""Alarms written out in a message; the remaining ones are counted."""
 FORMAT_VERSION = 1
-What = Literal["raised", "worse", "back", "over"]
-CHANGES: Mapping[str, What] = {
+ChangeKind = Literal["raised", "worse", "back", "over"]
+CHANGES: Mapping[str, ChangeKind] = {
     "alarm_raised": "raised",
     "alarm_worsened": "worse",
     "alarm_returned": "back",
@@ -30,7 +30,7 @@ CHANGES: Mapping[str, What] = {
     "alarm_cleared": "over",
     "alarm_reset": "over",
 }
-_SAID: Mapping[What, str] = {
+_CHANGE_TEXTS: Mapping[ChangeKind, str] = {
     "raised": "has come",
     "worse": "has become worse",
     "back": "is back",
@@ -39,17 +39,17 @@ _SAID: Mapping[What, str] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class News:
-    """A change of an alarm, as its event tells it.
+class AlarmChange:
+    """Change of an alarm, read from its event.
 
     Attributes
     ----------
     evidence
-        The sentence of its proof that says most; empty where it has none.
+        Most important sentence of its evidence; empty where there is none.
     """
 
     event_id: int
-    what: What
+    change: ChangeKind
     wall_utc_ns: int
     alarm_id: int
     position: str | None
@@ -62,40 +62,40 @@ class News:
     evidence: str
 
 
-def news_of(event: EventRow) -> News | None:
-    """Read an event; None where nobody is to be told: a person's own doing, or an alarm put aside."""
-    what, told = CHANGES.get(event.kind), event.payload
+def alarm_change_of(event: EventRow) -> AlarmChange | None:
+    """Return the change of an alarm; None for changes made by a person and for suppressed alarms."""
+    change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.
-    if what is None or event.id is None or not told.keys() >= {"severity", "state", "raised_h"}:
+    if change is None or event.id is None or not payload.keys() >= {"severity", "state", "raised_h"}:
         return None
-    if what != "over" and (told["state"] != "unacknowledged" or told.get("suppressed")):
+    if change != "over" and (payload["state"] != "unacknowledged" or payload.get("suppressed")):
         return None
-    return News(
+    return AlarmChange(
         event_id=event.id,
-        what=what,
+        change=change,
         wall_utc_ns=event.wall_utc_ns,
-        alarm_id=told.get("alarm_id") or told.get("id") or 0,
+        alarm_id=payload.get("alarm_id") or payload.get("id") or 0,
         position=event.position,
-        kind=told["kind"],
-        severity=told["severity"],
-        message=told["message"],
+        kind=payload["kind"],
+        severity=payload["severity"],
+        message=payload["message"],
         changed_utc_ns=event.utc_ns,
-        raised_h=told["raised_h"],
-        set_index=told["raised_set_index"],
-        evidence=next(iter(evidence(told["kind"], told.get("proof") or {})), ""),
+        raised_h=payload["raised_h"],
+        set_index=payload["raised_set_index"],
+        evidence=next(iter(evidence(payload["kind"], payload.get("proof") or {})), ""),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Test:
-    """Which test messages are about.
+    """Test that messages are about.
 
     Attributes
     ----------
     mark
-        Part of every key: two tests of one name are two.
+        Part of every key: it distinguishes two tests of the same name.
     page
-        Address of the page for others; empty where nobody said by which name it is reached.
+        Address of the page for other computers; empty where no host name is configured.
     """
 
     name: str
@@ -104,14 +104,14 @@ class Test:
 
 
 def test_of(row: ExperimentRow, page: str) -> Test:
-    """Return the test that a catalogue is of."""
-    own = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
-    return Test(name=row.name, mark=hashlib.sha256(own.encode()).hexdigest()[:12], page=page)
+    """Return the test of a catalogue."""
+    identity = f"{row.name}\n{row.configuration_hash}\n{row.created_utc_ns}"
+    return Test(name=row.name, mark=hashlib.sha256(identity.encode()).hexdigest()[:12], page=page)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """One message; the same key is the same message, sent again."""
+    """One message; a repeated one has the same key."""
 
     key: str
     kind: Literal["alarm", "heartbeat", "test"]
@@ -120,39 +120,43 @@ class Message:
     facts: Mapping[str, Any]
 
     def encoded(self) -> bytes:
-        """Give the body of a webhook."""
-        own = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
-        return orjson.dumps({**own, "title": self.title, "text": self.text, **self.facts})
+        """Return the body of a webhook as JSON."""
+        header = {"version": FORMAT_VERSION, "key": self.key, "kind": self.kind}
+        return orjson.dumps({**header, "title": self.title, "text": self.text, **self.facts})
 
 
 def key_of(test: Test, receiver: str, event_ids: Sequence[int]) -> str:
-    """Name a message by test, receiver and events: what is sent again after a crash has the same key."""
+    """Return the key of a message from test, receiver and events; a repeated message has the same key."""
     first, others = event_ids[0], ",".join(map(str, event_ids))
-    of_group = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
-    return f"{test.mark}.{receiver}.{first}{of_group}"
+    group_suffix = f"-{hashlib.sha256(others.encode()).hexdigest()[:8]}" if len(event_ids) > 1 else ""
+    return f"{test.mark}.{receiver}.{first}{group_suffix}"
 
 
 def alarm_message(
-    test: Test, receiver: str, news: Sequence[News], qualities: Mapping[int, str], *, now_ns: int
+    test: Test, receiver: str, changes: Sequence[AlarmChange], qualities: Mapping[int, str], *, now_ns: int
 ) -> Message:
-    """Tell of changes of alarms.
+    """Return a message about changes of alarms.
 
     Parameters
     ----------
     qualities
-        Quality of the set at which an alarm came, by event.
+        Quality of the set with which an alarm was raised, by event.
     now_ns
-        Wall clock: the age of the news is told.
+        Wall clock, for the age of the changes.
     """
-    shown = [_item(test, item, qualities.get(item.event_id), now_ns) for item in news[:MOST_LISTED]]
-    left = news[MOST_LISTED:]
+    shown = [_alarm_facts(test, item, qualities.get(item.event_id), now_ns) for item in changes[:MOST_LISTED]]
+    not_shown = changes[MOST_LISTED:]
     paragraphs = [item["text"] for item in shown]
-    if left:
-        paragraphs.append(f"And {len(left)} more: {_counted(left)}.")
-    worst = max((item.severity for item in news), key=SEVERITIES.index)
-    title = _title(news[0]) if len(news) == 1 else f"{len(news)} changes of alarms: {_counted(news)}"
+    if not_shown:
+        paragraphs.append(f"And {len(not_shown)} more: {_counts_text(not_shown)}.")
+    highest_severity = max((item.severity for item in changes), key=SEVERITIES.index)
+    title = (
+        _headline(changes[0])
+        if len(changes) == 1
+        else f"{len(changes)} changes of alarms: {_counts_text(changes)}"
+    )
     return Message(
-        key=key_of(test, receiver, [item.event_id for item in news]),
+        key=key_of(test, receiver, [item.event_id for item in changes]),
         kind="alarm",
         title=f"{title} - {test.name}",
         text="\n\n".join(paragraphs),
@@ -160,29 +164,31 @@ def alarm_message(
             "test": test.name,
             "receiver": receiver,
             "sent_utc": format_utc(now_ns, 0),
-            "severity": worst,
-            "counts": dict(Counter(f"{item.severity} {item.what}" for item in news)),
+            "severity": highest_severity,
+            "counts": dict(Counter(f"{item.severity} {item.change}" for item in changes)),
             "alarms": shown,
-            "not_shown": len(left),
+            "not_shown": len(not_shown),
         },
     )
 
 
 def heartbeat_message(test: Test, receiver: str, facts: Mapping[str, Any], *, now_ns: int) -> Message:
-    """Tell that service and recorder live; ``facts`` as `source.Source.signs_of_life` gives them."""
+    """Return a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
     age_h = facts["last_set_age_h"]
-    last = "no set is stored yet" if age_h is None else f"the last set is {_age(age_h * 3600.0)} old"
+    last_set_text = (
+        "no set is stored yet" if age_h is None else f"the last set is {_age_text(age_h * 3600.0)} old"
+    )
     return Message(
         key=f"{test.mark}.{receiver}.beat-{now_ns // NS_PER_S}",
         kind="heartbeat",
         title=f"Alive - {test.name}",
-        text=f"The recorder is {facts['recorder']} ({facts['doing']}); {last} on the test's clock.",
+        text=f"The recorder is {facts['recorder']} ({facts['doing']}); {last_set_text} on the test's clock.",
         facts={"test": test.name, "receiver": receiver, "sent_utc": format_utc(now_ns, 0), **facts},
     )
 
 
 def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Message:
-    """Return a message that says of itself that it is a trial."""
+    """Return a message that is marked as a test."""
     return Message(
         key=f"{test.mark}.{receiver}.test-{now_ns}",
         kind="test",
@@ -192,29 +198,29 @@ def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Mes
     )
 
 
-def _title(item: News) -> str:
-    return f"{item.severity.upper()} {item.kind}{_place(item)} {_SAID[item.what]}"
+def _headline(item: AlarmChange) -> str:
+    return f"{item.severity.upper()} {item.kind}{_position_text(item)} {_CHANGE_TEXTS[item.change]}"
 
 
-def _place(item: News) -> str:
+def _position_text(item: AlarmChange) -> str:
     return f" at {item.position}" if item.position else ""
 
 
-def _counted(news: Sequence[News]) -> str:
-    counts = Counter((item.severity, item.what) for item in news)
+def _counts_text(changes: Sequence[AlarmChange]) -> str:
+    counts = Counter((item.severity, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -SEVERITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
 
 
-def _item(test: Test, item: News, quality: str | None, now_ns: int) -> dict[str, Any]:
+def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, Any]:
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_index is None else f", set {item.set_index}, quality {quality or 'unknown'}"
     sentences = [
-        f"{_title(item)}: {item.message.rstrip('.')}.",
+        f"{_headline(item)}: {item.message.rstrip('.')}.",
         f"First raised at hour {item.raised_h:.2f} of the test{at_set}.",
-        f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_age(age_s)} ago.",
+        f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_age_text(age_s)} ago.",
     ]
-    if item.what != "over":
+    if item.change != "over":
         sentences += [item.evidence] if item.evidence else []
         guidance = GUIDANCE.get(item.kind)
         sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its proof.'}")
@@ -222,7 +228,7 @@ def _item(test: Test, item: News, quality: str | None, now_ns: int) -> dict[str,
     return {
         "event_id": item.event_id,
         "alarm_id": item.alarm_id,
-        "change": item.what,
+        "change": item.change,
         "position": item.position,
         "kind": item.kind,
         "severity": item.severity,
@@ -237,7 +243,7 @@ def _item(test: Test, item: News, quality: str | None, now_ns: int) -> dict[str,
     }
 
 
-def _link(test: Test, item: News) -> str | None:
+def _link(test: Test, item: AlarmChange) -> str | None:
     if not test.page:
         return None
     view = {"position": item.position, "set": item.set_index}
@@ -245,7 +251,7 @@ def _link(test: Test, item: News) -> str | None:
     return f"{test.page}?{query}" if query else test.page
 
 
-def _age(seconds: float) -> str:
+def _age_text(seconds: float) -> str:
     for size, unit in ((NS_PER_H / NS_PER_S, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"

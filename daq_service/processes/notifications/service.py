@@ -1,7 +1,7 @@
-"""Notifications of one test: a thread per receiver; one process of the test sends, which a lock decides.
+"""Notification service of one test: a thread per receiver; a lock selects the process that sends.
 
-The web service sends. The supervisor, or a recorder without one, stands by: it sends while no web service
-responds, and goes on from the delivery log where that one stopped.
+The web service sends. The supervisor, or a recorder without one, is on standby: it sends while no web service
+responds, and continues at the progress in the delivery log.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from daq_service.errors import BusyError, SolimonError
 from daq_service.processes.data_folder import BACKUP_FILE, hold_lock, lock_text
 from daq_service.processes.heartbeat import WEB_FILE, read_heartbeat, web_state
 from daq_service.processes.notifications.addresses import address_of
-from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
-from daq_service.processes.notifications.receiver import ReceiverLine
+from daq_service.processes.notifications.receiver import ReceiverQueue
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Bounds, Cut, Outcome, post
 from daq_service.processes.recorder_watch import RecorderWatch
@@ -37,25 +37,25 @@ log = logging.getLogger(__name__)
 LOCK_FILE = "notifier.lock"
 NO_RECEIVERS = "no receivers are configured"
 TROUBLE_PAUSE_S = 5.0
-"""After the catalogue could not be read."""
+"""Pause after the catalogue could not be read."""
 LOOK_EVERY_S = 1.0
-"""At the recorder, and at the process that sends."""
+"""Interval of checks of the recorder and of the sending process."""
 LONGEST_END_S = 0.5
-"""How long the end waits for attempts that were cut: their threads end with the process anyway."""
+"""Longest wait for aborted attempts at the end: their threads end with the process anyway."""
 
 
 class Notifications:
-    """Tells receivers of alarms, from `start` to `close`; without receivers it does nothing.
+    """Sends notifications to receivers, from `start` to `close`; without receivers it does nothing.
 
     Parameters
     ----------
     catalogue
-        Opens it, or returns the open one; `NoDataYetError` before the first record.
+        Opens the catalogue, or returns the open one; `NoDataYetError` before the first record.
     bounds
-        How long a webhook is waited for.
-    watches
-        The process that sends also looks after the recorder: it is another one.
-    stands_by
+        Time limits of a webhook.
+    monitors_recorder
+        The sending process also monitors the recorder, which is another process.
+    is_standby
         Send only while no web service of this test responds.
     """
 
@@ -66,64 +66,64 @@ class Notifications:
         catalogue: Callable[[], Catalogue],
         *,
         bounds: Bounds | None = None,
-        watches: bool = True,
-        stands_by: bool = False,
+        monitors_recorder: bool = True,
+        is_standby: bool = False,
     ) -> None:
         self.settings, self._folder = settings.notifications, folder
-        self._watch = RecorderWatch(settings, folder, catalogue) if watches else None
-        self._stands_by = stands_by
+        self._watch = RecorderWatch(settings, folder, catalogue) if monitors_recorder else None
+        self._is_standby = is_standby
         self.deliveries = DeliveryLog(folder)
         self._source = Source(settings, folder, catalogue)
         self._bounds, self._cuts = bounds or Bounds(), [Cut()]
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
-        self.lines = self._new_lines()
-        self.why_silent = "the service has not begun" if self.lines else NO_RECEIVERS
+        self.queues = self._new_queues()
+        self.silent_reason = "the service has not begun" if self.queues else NO_RECEIVERS
 
     def start(self) -> None:
         """Send from now on, as soon as no other process of this test does."""
         if not (self._folder / BACKUP_FILE).exists():
-            if self.lines or self._watch:
-                self._run(self._own, "notifications")
-        elif self.lines:
-            self.why_silent = "this is a backup; the test's own folder tells"
+            if self.queues or self._watch:
+                self._start_thread(self._send_while_owner, "notifications")
+        elif self.queues:
+            self.silent_reason = "this is a backup; the test's own folder tells"
 
     def close(self) -> None:
-        """End soon: attempts that are under way are cut, and made again by the next start."""
+        """Stop sending: running attempts are aborted and repeated after the next start."""
         self._stop.set()
         for cut in self._cuts:
             cut.close()
 
     def join(self) -> None:
-        """Wait a moment for the threads after `close`."""
+        """Wait up to `LONGEST_END_S` for each thread after `close`."""
         for thread in self._threads:
             thread.join(LONGEST_END_S)
 
-    def _run(self, body: Callable[[], None], name: str) -> threading.Thread:
-        thread = threading.Thread(target=body, name=name, daemon=True)
+    def _start_thread(self, target: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=target, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
         return thread
 
-    def _new_lines(self) -> dict[str, ReceiverLine]:
-        parts, found = (self.settings, self._source, self.deliveries), dict[str, ReceiverLine]()
-        for name, own in self.settings.receivers.items():
-            send, try_out = (partial(self._send, name, own, self._new_cut()) for _ in range(2))
-            found[name] = ReceiverLine(name, *parts, send, try_out)
-        return found
+    def _new_queues(self) -> dict[str, ReceiverQueue]:
+        parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
+        for name, receiver in self.settings.receivers.items():
+            send, send_test = (partial(self._send, name, receiver, self._new_cut()) for _ in range(2))
+            queues[name] = ReceiverQueue(name, *parts, send, send_test)
+        return queues
 
     def _new_cut(self) -> Cut:
         self._cuts.append(Cut())
         return self._cuts[-1]
 
-    def _send(self, name: str, own: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
-        address = address_of(name, own)
-        if own.kind == "apprise":
-            return notify(address, message)
+    def _send(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
+        address = address_of(name, receiver)
+        if receiver.kind == "apprise":
+            return deliver_by_apprise(address, message)
         return post(address, message, bounds=self._bounds, cut=cut)
 
-    def _own(self) -> None:
-        """Body of the thread that holds the lock while the others send."""
+    def _send_while_owner(self) -> None:
+        """Hold the lock while the other threads send (body of the main thread)."""
         while not self._stop.is_set():
             if self._web_responds():
                 self._stop.wait(LOOK_EVERY_S)
@@ -131,87 +131,89 @@ class Notifications:
             text = f"process {os.getpid()}"
             try:
                 with hold_lock(self._folder, LOCK_FILE, text, who="process", patience_s=0.0) as lock:
-                    self._attend(lock)
+                    self._send_until_released(lock)
             except BusyError:
-                self._report_trouble("another process of this test sends")
+                self._report_problem("another process of this test sends")
                 self._take_from_stalled()
                 self._stop.wait(LOOK_EVERY_S)
             except SolimonError as error:
-                self._report_trouble(str(error))
+                self._report_problem(str(error))
                 self._stop.wait(TROUBLE_PAUSE_S)
 
-    def _attend(self, lock: IO[bytes]) -> None:
-        """Send and watch until the end, or until another process does."""
-        self.why_silent, over = "" if self.lines else NO_RECEIVERS, threading.Event()
-        self.lines = self._new_lines()  # another process may have sent since: the log states how far it came
+    def _send_until_released(self, lock: IO[bytes]) -> None:
+        """Send and monitor until the end, or until another process does."""
+        self.silent_reason, released = "" if self.queues else NO_RECEIVERS, threading.Event()
+        self.queues = self._new_queues()  # another process may have sent since: the log holds the progress
         senders = [
-            self._run(partial(self._follow, line, lock, over), f"tell-{line.name}")
-            for line in self.lines.values()
+            self._start_thread(partial(self._run_queue, queue, lock, released), f"tell-{queue.name}")
+            for queue in self.queues.values()
         ]
-        while not self._stop.is_set() and self._holds(lock) and not self._web_responds():
+        while not self._stop.is_set() and self._still_owns(lock) and not self._web_responds():
             try:
                 if self._watch is not None:
-                    self._watch.look()
+                    self._watch.check()
             except (SolimonError, OSError) as error:
                 _warn_once(f"the recorder is not watched, tried again: {error}")
             self._stop.wait(LOOK_EVERY_S)
-        over.set()
+        released.set()
         for sender in senders:
             sender.join()
 
     def _web_responds(self) -> bool:
-        return self._stands_by and web_state(self._folder) == "responding"
+        return self._is_standby and web_state(self._folder) == "responding"
 
-    def _holds(self, lock: IO[bytes]) -> bool:
-        """Return whether the lock's file still has its name: of a process that stalled it is taken away."""
+    def _still_owns(self, lock: IO[bytes]) -> bool:
+        """Return whether the lock file still has its name, which is removed for a stalled process."""
         try:
             return os.path.samestat(os.fstat(lock.fileno()), (self._folder / LOCK_FILE).stat())
         except OSError:
             return False
 
     def _take_from_stalled(self) -> None:
-        """Take the lock's name from a web service that is stopped and will not let go of it.
+        """Remove the lock file of a suspended web service, which does not release it.
 
-        Windows keeps the name of an open file; there the service's end is waited for.
+        Windows keeps the name of an open file: there the end of the service is awaited.
         """
-        if self._stands_by and web_state(self._folder) == "not_responding":
+        if self._is_standby and web_state(self._folder) == "not_responding":
             beat, owner = read_heartbeat(self._folder, WEB_FILE), lock_text(self._folder, LOCK_FILE)
             if beat is not None and owner == f"process {beat.process}":
                 remove_quietly(self._folder / LOCK_FILE)
 
-    def _follow(self, line: ReceiverLine, lock: IO[bytes], over: threading.Event) -> None:
-        """Body of a receiver's thread."""
-        while not over.is_set() and self._holds(lock):
+    def _run_queue(self, queue: ReceiverQueue, lock: IO[bytes], released: threading.Event) -> None:
+        """Run the queue of a receiver (body of its thread)."""
+        while not released.is_set() and self._still_owns(lock):
             try:
-                pause_s = line.step()
-                self.why_silent = ""
+                pause_s = queue.step()
+                self.silent_reason = ""
             except Exception as error:  # noqa: BLE001 - the next message may be delivered
-                self._report_trouble(str(error))
+                self._report_problem(str(error))
                 pause_s = TROUBLE_PAUSE_S
-            over.wait(pause_s)
+            released.wait(pause_s)
 
-    def _report_trouble(self, told: str) -> None:
-        if self.lines and told != self.why_silent:
-            log.warning("no notifications now, tried again: %s", told)
-            self.why_silent = told
+    def _report_problem(self, problem: str) -> None:
+        if self.queues and problem != self.silent_reason:
+            log.warning("no notifications now, tried again: %s", problem)
+            self.silent_reason = problem
 
 
 @lru_cache(maxsize=8)
-def _warn_once(told: str) -> None:
-    log.warning("%s", told)
+def _warn_once(message: str) -> None:
+    log.warning("%s", message)
 
 
 @contextmanager
-def standing_by(settings: Settings, folder: Path, *, watches: bool) -> Iterator[None]:
-    """Send notifications meanwhile whenever no web service of this test responds.
+def standing_by(settings: Settings, folder: Path, *, monitors_recorder: bool) -> Iterator[None]:
+    """Send notifications whenever no web service of this test responds, while the context is open.
 
     Parameters
     ----------
-    watches
-        Look after the recorder as well.
+    monitors_recorder
+        Also monitor the recorder.
     """
     access = CatalogueAccess(folder)
-    notifications = Notifications(settings, folder, access.get, watches=watches, stands_by=True)
+    notifications = Notifications(
+        settings, folder, access.get, monitors_recorder=monitors_recorder, is_standby=True
+    )
     notifications.start()
     try:
         yield

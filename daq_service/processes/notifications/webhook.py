@@ -1,8 +1,8 @@
-"""A signed POST of JSON, bounded in time; redirects are not followed, certificates are verified.
+"""Webhook: signed POST of JSON, limited in time; redirects are not followed, certificates are verified.
 
 The signature is the HMAC-SHA256 of ``TIME.BODY`` under the receiver's secret, TIME in s since 1970, sent as
-``Solimon-Signature: t=TIME,v1=HEX``. A receiver that drops what is older than some minutes, and a key
-(``Idempotency-Key``) that it has seen, takes each message once and no forged one.
+``Solimon-Signature: t=TIME,v1=HEX``. A receiver that rejects messages older than some minutes, and known
+keys (``Idempotency-Key``), accepts each message once and no forged one.
 """
 
 from __future__ import annotations
@@ -34,69 +34,69 @@ LONGEST_RETRY_AFTER_S = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """How long a receiver is waited for, in s: to connect, for each part of its answer, altogether."""
+    """Time limits of an attempt, s: to connect, for each part of the response, in total."""
 
     connect_s: float = 5.0
     read_s: float = 10.0
-    whole_s: float = 15.0
+    total_s: float = 15.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of an attempt.
+    """Result of an attempt.
 
     Attributes
     ----------
-    told
-        For a person; never the address or the secret.
+    description
+        Result for a person, without address and secret.
     retry_after_s
-        How long the receiver asks to be left alone.
+        Pause that the receiver requests.
     refused
-        It will not have this message: others it may.
+        The receiver rejects this message, but may accept others.
     """
 
     ok: bool
-    told: str
+    description: str
     status: int | None = None
     retry_after_s: float = 0.0
     refused: bool = False
 
 
 class Cut:
-    """Ends attempts from elsewhere: when the whole time is over, or the service ends."""
+    """Switch that aborts attempts from another thread: at the time limit, or at the end of the service."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._open: socket.socket | None = None
+        self._socket: socket.socket | None = None
         self._closed = False
 
-    def watch(self, opened: socket.socket | None) -> None:
-        """Take in which socket an attempt uses now."""
+    def set_socket(self, connection: socket.socket | None) -> None:
+        """Set the socket of the present attempt."""
         with self._lock:
-            self._open = opened
-            if self._closed and opened is not None:
-                _shut(opened)
+            self._socket = connection
+            if self._closed and connection is not None:
+                _shut(connection)
 
     def __call__(self) -> None:
-        """End the attempt that is under way, if there is one."""
+        """Abort the present attempt, if there is one."""
         with self._lock:
-            if self._open is not None:
-                _shut(self._open)
+            if self._socket is not None:
+                _shut(self._socket)
 
     def close(self) -> None:
-        """End it, and all that follow."""
+        """Abort the present attempt and all following ones."""
         self._closed = True
         self()
 
 
-def _shut(opened: socket.socket) -> None:
-    with suppress(OSError):  # it is not connected yet, or not any more
-        # Not the TLS object's own: that would wait for who reads it.
-        socket.socket.shutdown(opened, socket.SHUT_RDWR)
+def _shut(connection: socket.socket) -> None:
+    with suppress(OSError):  # not connected yet, or already closed
+        # Not the method of the TLS object, which would wait for its reader.
+        socket.socket.shutdown(connection, socket.SHUT_RDWR)
 
 
 def signature(secret: bytes, time_s: int, body: bytes) -> str:
-    """Return the header's value for a body sent at a time."""
+    """Return the value of the signature header for a body sent at a time."""
     digest = hmac.new(secret, b"%d." % time_s + body, hashlib.sha256).hexdigest()
     return f"t={time_s},v1={digest}"
 
@@ -109,7 +109,7 @@ def post(
     cut: Cut | None = None,
     now_s: Callable[[], float] = time.time,
 ) -> Outcome:
-    """Try once to deliver a message; whatever happens is an outcome, within ``bounds.whole_s``."""
+    """Try once to deliver a message; every error is returned as an outcome, within ``bounds.total_s``."""
     bounds, cut = bounds or Bounds(), cut or Cut()
     parts = urlsplit(address.url)
     assert parts.hostname is not None, "the address was checked"
@@ -121,28 +121,32 @@ def post(
         SIGNATURE: signature(address.secret, int(now_s()), body),
     }
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    too_long = threading.Event()
+    timed_out = threading.Event()
 
-    def end() -> None:
-        too_long.set()
+    def abort() -> None:
+        timed_out.set()
         cut()
 
-    timer = threading.Timer(bounds.whole_s, end)
+    timer = threading.Timer(bounds.total_s, abort)
     timer.daemon = True
     timer.start()
     connection = http.client.HTTPConnection(parts.hostname, parts.port or _port(parts.scheme))
     connection.auto_open = 0
     try:
-        connection.sock = _connected(parts.scheme, connection.host, connection.port, bounds, cut)
+        connection.sock = _connect(parts.scheme, connection.host, connection.port, bounds, cut)
         connection.request("POST", target, body, headers)
-        answer = connection.getresponse()
-        return _outcome(answer.status, answer.headers.get("Retry-After"), now_s())
+        response = connection.getresponse()
+        return _outcome(response.status, response.headers.get("Retry-After"), now_s())
     except (OSError, http.client.HTTPException, ValueError) as error:
-        told = f"no answer within {bounds.whole_s:g} s" if too_long.is_set() else _trouble(error, bounds)
-        return Outcome(ok=False, told=told)
+        description = (
+            f"no answer within {bounds.total_s:g} s"
+            if timed_out.is_set()
+            else _error_description(error, bounds)
+        )
+        return Outcome(ok=False, description=description)
     finally:
         timer.cancel()
-        cut.watch(None)
+        cut.set_socket(None)
         connection.close()
 
 
@@ -150,11 +154,11 @@ def _port(scheme: str) -> int:
     return 443 if scheme == "https" else 80
 
 
-def _connected(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> socket.socket:
+def _connect(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> socket.socket:
     plain = socket.create_connection((host, port), timeout=bounds.connect_s)
     try:
         plain.settimeout(bounds.read_s)
-        cut.watch(plain)
+        cut.set_socket(plain)
         if scheme == "http":
             return plain
         wrapped = ssl.create_default_context().wrap_socket(
@@ -164,7 +168,7 @@ def _connected(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> s
         plain.close()
         raise
     try:
-        cut.watch(wrapped)
+        cut.set_socket(wrapped)
         wrapped.do_handshake()
     except BaseException:
         wrapped.close()
@@ -174,33 +178,33 @@ def _connected(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> s
 
 def _outcome(status: int, retry_after: str | None, now_s: float) -> Outcome:
     if 200 <= status < 300:
-        return Outcome(ok=True, told=f"taken ({status})", status=status)
-    told = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()
+        return Outcome(ok=True, description=f"taken ({status})", status=status)
+    description = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()
     if 300 <= status < 400:
-        told += ": it points elsewhere, where nothing is sent; give its own address"
+        description += ": it points elsewhere, where nothing is sent; give its own address"
     return Outcome(
         ok=False,
-        told=told,
+        description=description,
         status=status,
-        retry_after_s=_seconds(retry_after, now_s),
+        retry_after_s=_retry_after_s(retry_after, now_s),
         refused=status in REFUSES_THE_MESSAGE,
     )
 
 
-def _seconds(text: str | None, now_s: float) -> float:
-    """Read ``Retry-After``: seconds or a date; 0 where it says nothing that can be read."""
+def _retry_after_s(text: str | None, now_s: float) -> float:
+    """Return the pause of a ``Retry-After`` header (seconds or a date), s; 0 where it is unreadable."""
     if text is None:
         return 0.0
     try:
-        wanted_s = float(text) if text.isdigit() else parsedate_to_datetime(text).timestamp() - now_s
+        retry_after_s = float(text) if text.isdigit() else parsedate_to_datetime(text).timestamp() - now_s
     except (ValueError, TypeError, OverflowError):
         log.debug("a Retry-After that is neither seconds nor a date")
         return 0.0
-    return min(max(0.0, wanted_s), LONGEST_RETRY_AFTER_S)
+    return min(max(0.0, retry_after_s), LONGEST_RETRY_AFTER_S)
 
 
-def _trouble(error: Exception, bounds: Bounds) -> str:
-    """Say what went wrong in our words: a library's may repeat the address."""
+def _error_description(error: Exception, bounds: Bounds) -> str:
+    """Return a description of an error; the text of a library may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
             return f"its certificate is refused: {error.verify_message}"

@@ -1,4 +1,4 @@
-"""Opaque cursors: where a page ends, tied to the listing and filters that it belongs to."""
+"""Opaque cursors for the end of a page, tied to its listing and filters."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from daq_service.web.answers.problem import Problem
 
 
 def encode(listing: str, after: int) -> str:
-    """Cursor behind row ``after`` of a listing; ``listing`` names the resource and its filters."""
+    """Return the cursor after row ``after`` of a listing; ``listing`` names the resource and its filters."""
     return base64.urlsafe_b64encode(f"{_mark(listing)}.{after}".encode()).decode().rstrip("=")
 
 
 def decode(listing: str, cursor: str | None) -> int | None:
-    """Row behind which a page starts; None for the first page.
+    """Return the row after which a page starts; None for the first page.
 
     Raises
     ------

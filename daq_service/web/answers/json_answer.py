@@ -1,4 +1,4 @@
-"""How answers look: JSON with null for "not available", RFC 3339 times, age beside the numbers."""
+"""Format of answers: JSON with null for "not available", RFC 3339 times, and ages."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class JsonAnswer(JSONResponse):
-    """JSON by orjson: NaN and infinities become null, NumPy arrays become lists.
+    """JSON response by orjson: NaN and infinities become null, NumPy arrays become lists.
 
     A subclass of `JSONResponse`, by which FastAPI knows that the response model describes the body.
     """
 
     def render(self, content: Any) -> bytes:
-        """Encode."""
+        """Return the content as JSON bytes."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
 def rfc3339(utc_ns: int | None) -> str | None:
-    """Nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
+    """Return nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
     if utc_ns is None:
         return None
     decimals = 9 if utc_ns % 1000 else 6 if utc_ns % 1_000_000 else 3 if utc_ns % NS_PER_S else 0
@@ -33,12 +33,12 @@ def rfc3339(utc_ns: int | None) -> str | None:
 
 
 def rfc3339_of_hour(epoch_utc_ns: int, hour: float) -> str | None:
-    """Give the time of an hour of the experiment, to the second."""
+    """Return the RFC 3339 time of an hour of the test, to the second."""
     return rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
 def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Give what `rfc3339_of_hour` gives, of a whole column in one step."""
+    """Return the RFC 3339 times of a column of hours (`rfc3339_of_hour`) in one step."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)
@@ -49,7 +49,7 @@ def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
 
 
 def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
-    """Row as it leaves the service.
+    """Return a row with RFC 3339 times, as it leaves the service.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.

@@ -1,4 +1,4 @@
-"""Shapes of the answers, for OpenAPI and for its contract test.
+"""Models of the answers, for OpenAPI and for its contract test.
 
 Routes answer with rows that they already trust, encoded by orjson; nothing is validated again on
 the way out (10,000 rows: 2.4 ms instead of 37 ms). The tests hold every answer against these models.
@@ -15,7 +15,7 @@ from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
 from daq_service.commands.audit import Result
-from daq_service.processes.notifications.delivery_log import What
+from daq_service.processes.notifications.delivery_log import DeliveryKind
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
 
@@ -42,24 +42,24 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 
 
 def problem_schemas() -> dict[str, Any]:
-    """JSON Schemas that the error answers refer to, for the components of OpenAPI."""
+    """Return the JSON schemas of error answers, for the components of OpenAPI."""
     schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Documentation of the error answers that a route can give."""
+    """Return the documentation of the error answers of a route."""
     return {status: PROBLEMS[status] for status in statuses}
 
 
 class Answer(BaseModel):
-    """Base of all answers: nothing undocumented leaves the service."""
+    """Base of all answers, without undocumented fields."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
-    """Make an answer of a catalogue row: its columns, then the answer's own fields, then the age.
+    """Return a decorator that adds the columns of a catalogue row and its age to an answer.
 
     ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``.
     """
@@ -80,14 +80,14 @@ def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
         fields |= {name: (field.annotation, field) for name, field in answer.model_fields.items()}
         if fields.keys() & {"due_h", "raised_h"}:
             fields["age_h"] = (float, ...)
-        made = create_model(answer.__name__, __base__=Answer, __doc__=answer.__doc__, **fields)
-        return cast(type[A], made)
+        model = create_model(answer.__name__, __base__=Answer, __doc__=answer.__doc__, **fields)
+        return cast(type[A], model)
 
     return derive
 
 
 class AsOf(Answer):
-    """How fresh an answer is, on the experiment's clock and on the wall clock."""
+    """Freshness of an answer, on the test clock and on the wall clock."""
 
     clock: Literal["simulated", "wall"] = Field(description="Which clock the experiment runs on")
     now_utc: str = Field(description="Now on the experiment's clock; simulated: time of the last event")
@@ -119,14 +119,14 @@ class ThicknessRow(Answer):
 
 @_of_row(rows.AssessmentRow)
 class AssessmentRow(Answer):
-    """What novelty detection says of a set."""
+    """Result of the novelty detection of a set."""
 
     quality: Quality | None = Field(description="Quality of the set's feature that was judged")
 
 
 @_of_row(rows.BaselineRow)
 class BaselineRow(Answer):
-    """A baseline; the first one of a position that still collects is told with the id that it will have."""
+    """Baseline; the first, still collecting one of a position has its future id."""
 
     n_sets: int = Field(description="Usable sets in it; of one that collects those so far")
     from_h: float = Field(description="When its first set was due, or will be")
@@ -139,7 +139,7 @@ class BaselineRow(Answer):
 
 
 class AlarmRule(Answer):
-    """How much it takes; of a wall that changes or thins `k` of `n`, of a hole shots of sets."""
+    """Rule of an alarm: `k` of `n` sets for a wall change, shots of consecutive sets for no reflection."""
 
     false_alarms_per_sensor_year: float | None = Field(default=None, description="Budget of the chart")
     k: int | None = Field(default=None, description="So many of the last `n` judged sets")
@@ -149,7 +149,7 @@ class AlarmRule(Answer):
 
 
 class ConfirmationSet(Answer):
-    """What a set beside the plan says of a suspicion."""
+    """Result of an unscheduled confirmation set."""
 
     set_index: int = Field(description="Index of the confirmation set")
     utc_ns: int = Field(description="When it was asked for, in ns of UTC on the test's clock")
@@ -161,7 +161,7 @@ class ConfirmationSet(Answer):
 
 
 class AlarmProof(BaseModel):
-    """What an alarm rests on: some of these by kind, of the supply the columns of environment."""
+    """Evidence of an alarm: fields by kind; for the supply, the columns of environment."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -203,7 +203,7 @@ class AlarmProof(BaseModel):
 
 @_of_row(rows.AlarmRow)
 class AlarmRow(Answer):
-    """One alarm with its proof."""
+    """Alarm with its evidence."""
 
     proof: AlarmProof = Field(description="What it rests on")
     proof_sentences: list[str] = Field(
@@ -214,7 +214,7 @@ class AlarmRow(Answer):
 
 @_of_row(rows.CommandRow)
 class CommandRow(Answer):
-    """An operator's order and the recorder's answer."""
+    """Command of an operator and its result."""
 
     expires_in_s: float | None = Field(description="Then nobody will carry it out; null: it is not pending")
 
@@ -251,7 +251,7 @@ class ThicknessPage(Page):
 
 
 class AssessmentPage(Page):
-    """Verdicts in order."""
+    """Assessments in order."""
 
     items: list[AssessmentRow]
 
@@ -263,7 +263,7 @@ class AlarmPage(Page):
 
 
 class AlarmTransition(Answer):
-    """What became of an alarm at a moment."""
+    """Transition of an alarm at a moment."""
 
     event_id: int
     kind: str = Field(description="`alarm_raised`, `alarm_acknowledged`, `alarm_shelved`, ...")
@@ -285,7 +285,7 @@ class AlarmHistory(Answer):
 
 
 class Guidance(Answer):
-    """What to do about a kind of alarm."""
+    """Guidance for a kind of alarm."""
 
     kind: str
     says: str = Field(description="What has been found")
@@ -296,14 +296,14 @@ class Guidance(Answer):
 
 
 class GuidanceList(Answer):
-    """Every kind of alarm."""
+    """Guidance for every kind of alarm."""
 
     items: list[Guidance]
 
 
 @_of_row(rows.AnnotationRow)
 class AnnotationRow(Answer):
-    """What a person noted of an hour of the test, or of a range."""
+    """Annotation of an hour of the test, or of a range."""
 
     from_utc: str
     to_utc: str
@@ -317,7 +317,7 @@ class AnnotationPage(Page):
 
 @_of_row(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
-    """What supply and climate probe said around a set; null where nothing was heard."""
+    """Supply and climate around a set; null where there was no reading."""
 
 
 class EnvironmentPage(Page):
@@ -327,7 +327,7 @@ class EnvironmentPage(Page):
 
 
 class SupplyNow(Answer):
-    """The supply at this moment, as the process that owns it keeps it: also while no recorder runs."""
+    """Present status of the supply, from the supply process, also without a recorder."""
 
     state: SupplyState = Field(description="`unknown` where the newest reading says nothing of now")
     quality: ReadingQuality
@@ -381,7 +381,7 @@ class BaselineList(Answer):
 
 
 class PositionStanding(Answer):
-    """A monitored place, in a word."""
+    """Status of a monitored position."""
 
     position: str
     label: str
@@ -396,7 +396,7 @@ class PositionStanding(Answer):
 
 
 class PositionState(PositionStanding):
-    """A monitored place as it stands now."""
+    """Present state of a monitored position."""
 
     serial_number: str
     data_utc: str | None
@@ -414,14 +414,14 @@ class PositionState(PositionStanding):
 
 
 class PositionList(Answer):
-    """All monitored places."""
+    """All monitored positions."""
 
     as_of: AsOf
     items: list[PositionState]
 
 
 class ClockInfo(Answer):
-    """The experiment's clock."""
+    """Clock of the test."""
 
     kind: Literal["simulated", "wall"]
     epoch_utc: str
@@ -434,7 +434,7 @@ class ClockInfo(Answer):
 
 
 class ScheduleInfo(Answer):
-    """What is planned."""
+    """Schedule of the test."""
 
     n_sets: int
     end_h: float
@@ -443,7 +443,7 @@ class ScheduleInfo(Answer):
 
 
 class PositionInfo(Answer):
-    """What the configuration says of a place."""
+    """Configuration of a position."""
 
     position: str
     label: str
@@ -452,7 +452,7 @@ class PositionInfo(Answer):
 
 
 class NamedLimitInfo(Answer):
-    """A limit: what it is called, means and bounds; baselines and verdicts hold its value by this name."""
+    """Limit of a statistic; baselines and assessments hold its value by this name."""
 
     name: str
     words: str = Field(description="What it means, in a sentence")
@@ -484,7 +484,7 @@ class InstrumentInfo(Answer):
 
 
 class AskedInfo(Answer):
-    """What a person shall do now."""
+    """Request to a person to do something now."""
 
     text: str
     position: str | None = None
@@ -496,7 +496,7 @@ class AskedInfo(Answer):
 
 
 class SupplyInfo(Answer):
-    """What an order to the corrosion drive may ask for, and what ends it."""
+    """Limits of commands to the supply, and conditions that switch it off."""
 
     voltage_v: float = Field(description="Configured: an order without a voltage sets it")
     current_limit_a: float = Field(description="Configured, likewise")
@@ -508,7 +508,7 @@ class SupplyInfo(Answer):
 
 
 class Info(Answer):
-    """Which experiment this is."""
+    """Identity and configuration of the test."""
 
     name: str
     version: str
@@ -540,7 +540,7 @@ class Liveness(Answer):
 
 
 class RecorderHealth(Answer):
-    """The recorder's sign of life."""
+    """Status and heartbeat of the recorder."""
 
     state: Literal["running", "finished", "stopped", "silent", "absent"]
     description: str
@@ -550,7 +550,7 @@ class RecorderHealth(Answer):
 
 
 class DiskOutlook(Answer):
-    """What is free, and whether the rest of the test fits; null: not known before the first set's file."""
+    """Forecast of the disk space; null: unknown before the first set file."""
 
     free_bytes: int
     total_bytes: int
@@ -560,7 +560,7 @@ class DiskOutlook(Answer):
 
 
 class ServiceHealth(Answer):
-    """How the parts are."""
+    """Health of recorder, storage and service."""
 
     as_of: AsOf
     recorder: RecorderHealth
@@ -572,7 +572,7 @@ class ServiceHealth(Answer):
 
 
 class TrendBins(Answer):
-    """What the bins of a trend say beside its columns, one entry a bin; values by name."""
+    """Further values of the bins of a trend, one entry per bin, by column."""
 
     minimum: dict[str, list[float | None]]
     maximum: dict[str, list[float | None]]
@@ -592,7 +592,7 @@ TREND_ASSESSMENTS = (
     *("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline"),
     *("chart", "reason"),
 )
-"""Columns of a trend that come from the verdict beside the measured values."""
+"""Columns of a trend from the assessment."""
 MEASURED_FIELDS = tuple(
     dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.measured(kind))
 )
@@ -608,12 +608,12 @@ def _trend_columns() -> type[Answer]:
         name: (list[kind | None], Field(default_factory=list))  # type: ignore[valid-type] # a value here
         for name, kind in kinds.items()
     }
-    told = "The columns that were asked for, and hour, age and quality; one entry a set or bin."
-    return create_model("TrendColumns", __base__=Answer, __doc__=told, **fields)
+    description = "The columns that were asked for, and hour, age and quality; one entry a set or bin."
+    return create_model("TrendColumns", __base__=Answer, __doc__=description, **fields)
 
 
 class Trend(Answer):
-    """Columns of equal length, one entry a set, or a bin where there are more sets than points."""
+    """Columns of equal length, one entry per set, or per bin where there are more sets than points."""
 
     position: str
     method: Method
@@ -665,7 +665,7 @@ class WaveformAnswer(Answer):
 
 
 class Waterfall(Answer):
-    """All records of a position over the test, as cells of extremes; the binary form's header is the same."""
+    """All waveforms of a position over the test, as cells of extremes; also the header of the binary form."""
 
     position: str
     method: Method
@@ -695,7 +695,7 @@ class Waterfall(Answer):
 
 
 class Session(Answer):
-    """Who asks, and what that person may do."""
+    """Person of a request, and their permissions."""
 
     token_needed: bool = Field(description="False: on loopback, before the first token was made")
     name: str | None = Field(description="Of the token; null: nobody has logged in, or no token is needed")
@@ -706,7 +706,7 @@ class Session(Answer):
 
 
 class TokenEntry(Answer):
-    """What is kept of an access token."""
+    """Stored data of an access token."""
 
     name: str
     role: Literal["viewer", "operator", "engineer", "admin"]
@@ -717,7 +717,7 @@ class TokenEntry(Answer):
 
 
 class NewToken(TokenEntry):
-    """A token that was just made."""
+    """New access token."""
 
     token: str = Field(description="What opens; told once")
 
@@ -729,7 +729,7 @@ class TokenList(Answer):
 
 
 class AuditEntry(Answer):
-    """What somebody asked for."""
+    """Entry of the audit log."""
 
     id: int = Field(description="Running number; one that is missing was damaged or taken away")
     utc: str = Field(description="By the computer's clock")
@@ -753,7 +753,7 @@ class AuditPage(Answer):
 
 
 class HeartbeatState(Answer):
-    """Signs of life to a receiver."""
+    """Heartbeat messages to a receiver."""
 
     every_s: float
     state: Literal["off", "ok", "failing", "withheld"] = Field(
@@ -765,7 +765,7 @@ class HeartbeatState(Answer):
 
 
 class ReceiverState(Answer):
-    """How a receiver of notifications stands; counts are since the service began."""
+    """State of a receiver of notifications; counts are since the start of the service."""
 
     name: str
     kind: Literal["webhook", "apprise"]
@@ -789,7 +789,7 @@ class ReceiverState(Answer):
 
 
 class NotificationsState(Answer):
-    """Who is told of alarms elsewhere; times are of the computer's clock."""
+    """State of the notifications; times are of the computer's clock."""
 
     sending: bool = Field(description="True: this service tells the receivers")
     why_silent: str = Field(description="Why it does not")
@@ -797,7 +797,7 @@ class NotificationsState(Answer):
 
 
 class TrialResult(Answer):
-    """What became of a trial message."""
+    """Result of a test message."""
 
     receiver: str
     ok: bool
@@ -807,12 +807,12 @@ class TrialResult(Answer):
 
 
 class DeliveryEntry(Answer):
-    """A line of the log of deliveries."""
+    """Line of the delivery log."""
 
     id: int = Field(description="Running number; one that is missing was damaged or taken away")
     utc: str
     receiver: str
-    what: What = Field(
+    what: DeliveryKind = Field(
         description="`sending` without `sent` behind it: it is under way, or a crash came in between"
     )
     told: str

@@ -5,7 +5,7 @@
     Problem (raised by the routes)
     ├── type      urn:solimon:problem:<name>, stable
     ├── title, status, detail, hint
-    ├── instance  the path that was asked for
+    ├── instance  the requested path
     ├── request_id, also in the header X-Request-ID and in the log
     └── errors    of a 422: [{in, pointer (RFC 6901), detail}]
 """
@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 class InvalidPart(BaseModel):
-    """One refused part of a request."""
+    """Invalid part of a request."""
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
     location: str = Field(alias="in", description="path, query, header or body")
@@ -58,7 +58,7 @@ class ProblemDetails(BaseModel):
 
 
 class Problem(Exception):  # noqa: N818 - the RFC's word
-    """An answer that is not the one asked for."""
+    """Error that is answered as problem details."""
 
     def __init__(self, status: int, name: str, title: str, detail: str, hint: str) -> None:
         super().__init__(detail)
@@ -70,7 +70,7 @@ class Problem(Exception):  # noqa: N818 - the RFC's word
 
 
 def no_data_yet() -> Problem:
-    """Say that nothing is recorded so far."""
+    """Return the problem that nothing is recorded yet (503)."""
     return Problem(
         503,
         "no-data-yet",
@@ -81,7 +81,7 @@ def no_data_yet() -> Problem:
 
 
 def catalogue_lost(detail: str) -> Problem:
-    """Say that what was recorded cannot be shown until its catalogue is made again."""
+    """Return the problem that the catalogue is lost and must be rebuilt (503)."""
     return Problem(
         503,
         "catalogue-lost",
@@ -92,29 +92,29 @@ def catalogue_lost(detail: str) -> Problem:
 
 
 def not_found(what: str, hint: str) -> Problem:
-    """Say that there is no such thing."""
+    """Return the problem that a resource does not exist (404)."""
     return Problem(404, "not-found", "Not found", what, hint)
 
 
 def conflict(detail: str, hint: str) -> Problem:
-    """Refuse what does not fit the present state."""
+    """Return the problem that a request conflicts with the present state (409)."""
     return Problem(409, "conflict", "Conflict with the present state", detail, hint)
 
 
 def invalid(title: str, detail: str, hint: str) -> Problem:
-    """Refuse a request that asks for what cannot be."""
+    """Return the problem of an invalid request (422)."""
     return Problem(422, "invalid-request", title, detail, hint)
 
 
 def request_id(scope: Scope) -> str:
-    """Name of this request, given by `guards.RequestGuard`."""
+    """Return the id of a request, set by `guards.RequestGuard`."""
     return str(scope.get("state", {}).get("request_id", ""))
 
 
 def problem_response(
     scope: Scope, problem: Problem, errors: Sequence[dict[str, Any]] | None = None
 ) -> Response:
-    """Turn a problem into its answer."""
+    """Return the response of a problem."""
     body: dict[str, Any] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
@@ -126,7 +126,7 @@ def problem_response(
     }
     if errors is not None:
         body["errors"] = list(errors)
-    # A fault is answered outside of the guard, which sets these on every other answer.
+    # A fault is answered outside of the guard, which sets these on every other response.
     headers = {
         "Cache-Control": "no-store",
         "X-Content-Type-Options": "nosniff",
@@ -142,12 +142,12 @@ def problem_response(
 
 
 def json_pointer(parts: Sequence[str | int]) -> str:
-    """JSON pointer (RFC 6901) of a path of keys and indices."""
+    """Return the JSON pointer (RFC 6901) of a path of keys and indices."""
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
 def _methods_at(app: FastAPI, of_request: Scope) -> list[str]:
-    """Methods of all routes that share a path; Starlette names those of one of them."""
+    """Return the methods of all routes of a path; Starlette returns those of one route."""
     scopes = [
         {name: of_request[name] for name in ("type", "path", "root_path", "headers")} | {"method": method}
         for method in METHODS
@@ -160,7 +160,7 @@ def _methods_at(app: FastAPI, of_request: Scope) -> list[str]:
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error of the application as problem details."""
+    """Install handlers that answer every error of the application as problem details."""
 
     async def on_problem(request: Request, error: Exception) -> Response:
         assert isinstance(error, Problem)
@@ -209,7 +209,7 @@ def install(app: FastAPI) -> None:
         return problem_response(request.scope, problem)
 
     async def on_fault(request: Request, error: Exception) -> Response:
-        # The server logs the traceback right behind this line.
+        # The server logs the traceback directly after this line.
         log.error("request %s %s failed: %r", request_id(request.scope), request.url.path, error)
         problem = Problem(
             500,

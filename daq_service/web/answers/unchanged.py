@@ -1,4 +1,4 @@
-"""Answers that a client has already (RFC 9110, conditional requests)."""
+"""Conditional requests for answers that a client already has (RFC 9110)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from starlette.responses import Response
 
 
 def unchanged(request: Request, etag: str) -> tuple[dict[str, str], Response | None]:
-    """Headers by which a client asks again, and the answer where it has this content."""
+    """Return the headers for conditional requests, and a 304 response where the client has the content."""
     headers = {"ETag": etag, "Cache-Control": "no-cache"}
     given = (part.strip().removeprefix("W/") for part in request.headers.get("if-none-match", "").split(","))
     return headers, Response(status_code=304, headers=headers) if etag in given else None

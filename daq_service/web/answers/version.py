@@ -1,4 +1,4 @@
-"""Versions the service tells."""
+"""Versions of the service and its interface."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 API_VERSION = "1.0.0"
-"""Of the interface under /api/v1, not of the distribution."""
+"""Version of the interface under /api/v1, not of the distribution."""
 
 
-@cache  # to find it a file of some kB is parsed, each time
+@cache  # each call would parse a file of some kB
 def distribution_version() -> str:
-    """Version of the installed solimon, or "unknown" in a bare checkout."""
+    """Return the version of the installed solimon, or "unknown" in a bare checkout."""
     try:
         return version("solimon")
     except PackageNotFoundError:

@@ -1,6 +1,6 @@
-"""What the names in answers and requests mean: one vocabulary, wherever a name stands.
+"""Vocabulary of the names in answers and requests: one description per name.
 
-A property that says more than its name, or something else, is described where it is declared
+A property with a more specific meaning is described where it is declared
 (`Field(description=...)`, or the text beside a column's type in `catalogue.rows`).
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-WORDS: Mapping[str, str] = {
+MEANINGS: Mapping[str, str] = {
     # Where and when.
     "position": "Monitored place, as the configuration names it",
     "set_index": "Running number of the planned set, from 0; beside the plan n times 10,000,000 more",
@@ -270,10 +270,10 @@ WORDS: Mapping[str, str] = {
     "TrialResult.ok": "It was taken",
     "took_s": "How long the answer was waited for",
 }
-"""Meaning by name, or by `Schema.name` or `operation.name` where a name means something of its own there."""
+"""Description by name, or by `Schema.name` or `operation.name` where it has a special meaning there."""
 
 RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
-"""Endings of numbers without a unit; a whole number needs none: it is a count or an index."""
+"""Suffixes of numbers without a unit; an integer has none: it is a count or an index."""
 PURE = frozenset(
     {
         "averages",
@@ -291,7 +291,7 @@ PURE = frozenset(
 )
 """Further ones: rates, statistics in units of the scatter."""
 OWN_UNIT = frozenset({"coefficients", "residual_sd", "mean", "covariance", "minimum", "maximum", "columns"})
-"""Numbers whose unit stands beside them, by field or column: the description says which."""
+"""Numbers with a unit per field or column, stated in the description."""
 OTHER_UNITS: Mapping[str, str] = {"days": "d"} | dict.fromkeys(
     ("free_bytes", "total_bytes", "needed_bytes", "disk_free_bytes"), "B"
 )
@@ -338,4 +338,4 @@ EXAMPLES: Mapping[str, object] = {
     "get_waterfall.rows": 2,
     "get_waterfall.columns": 4,
 }
-"""Of parameters that a request must have, by name or `operation.name`; answers were asked with them."""
+"""Examples of required parameters, by name or `operation.name`, used for the example answers."""

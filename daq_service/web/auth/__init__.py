@@ -1,1 +1,1 @@
-"""Who may come in and do what: tokens, roles, what is refused before a route is reached."""
+"""Authentication and authorization: tokens, roles, and the middleware before the routes."""

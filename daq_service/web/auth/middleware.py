@@ -1,8 +1,8 @@
-"""At the door: who a request is from, and what is refused before any route sees it.
+"""Authentication middleware: the person of a request, and refusals before any route.
 
-A token comes in the header `Authorization: Bearer`, or from the page in a cookie that no script can read.
-The right one is always let in, however many wrong ones came before: 256 random bits cannot be guessed. What
-wrong ones cost is bounded instead, in answers and in lines of the audit.
+A token is in the header `Authorization: Bearer`, or for the page in a cookie that no script can read.
+A valid one is always accepted, independent of wrong ones before it: 256 random bits cannot be guessed. The
+cost of wrong tokens is limited instead, in answers and in lines of the audit log.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from daq_service.web.answers.problem import Problem, problem_response, request_i
 from daq_service.web.auth.roles import CLAIMED, Person
 from daq_service.web.auth.tokens import KnownTokens, read_tokens, tokens_file
 
-ANYBODYS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
+PUBLIC_PATHS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
 PAGE_FILES = "/static/"
 OF_TEST = re.compile(r"/tests/[^/]+(?=/)")
-"""Where several tests are served, in front of each one's own paths."""
+"""Prefix of the paths of a test in a service with several tests."""
 MOST_WRONG, WRONG_EVERY_S = 10, 6.0
-"""Wrong tokens of one address that are answered 401: so many at once, then one each six seconds."""
+"""Wrong tokens of one address answered with 401: this many at once, then one every six seconds."""
 MOST_ADDRESSES = 1000
 LONGEST_TOKEN = 200
-LONGEST_WHY = 400
-"""Of a line of the audit: a foreign host's name is as long as its sender likes."""
+LONGEST_REASON = 400
+"""Limit of the reason in the audit log: the host name of a foreign request may have any length."""
 
 
 class AccessPolicy:
-    """Who may come in; used on the event loop alone.
+    """Access policy of a service; used only on the event loop.
 
     Parameters
     ----------
     no_person
-        For a reader inside this process: whoever may read the folder's files may read the test.
+        No token is required: for a reader inside this process, which can read the files of the folder anyway.
     """
 
     def __init__(self, web: WebSettings, data_folder: Path, *, no_person: bool = False) -> None:
@@ -54,41 +54,41 @@ class AccessPolicy:
         self.tokens_path = tokens_file(web, data_folder)
         self.tokens = KnownTokens(self.tokens_path)
         self.audit = Audit(data_folder)
-        # Ports do not part cookies: each service needs a name of its own.
+        # Cookies do not depend on the port: each service needs a different name.
         self._cookie = f"solimon-{hashlib.sha256(str(data_folder.absolute()).encode()).hexdigest()[:8]}"
         self._wrong: dict[str, Allowance] = {}
 
     @property
     def is_open(self) -> bool:
-        """True where nobody is asked for a token: on loopback, before the first one was made."""
+        """Return whether no token is required: on loopback, before the first token is created."""
         return self._no_person or (not self._web.is_reachable and not self.tokens.asked_for)
 
     def cookie_name(self, scope: Scope) -> str:
-        """Name of the page's cookie; over TLS a browser binds `__Host-` to this very host."""
+        """Return the name of the page's cookie; over TLS a browser binds `__Host-` to this host."""
         return f"__Host-{self._cookie}" if is_encrypted(scope) else self._cookie
 
     def person_of(self, scope: Scope) -> Person | None:
-        """Tell who asks; None: nobody has said so.
+        """Return the person of a request; None: not logged in.
 
         Raises
         ------
         Problem
-            401, 429: the token is wrong. 403: it did not travel encrypted.
+            401, 429: the token is wrong. 403: the request was not encrypted.
         """
         headers = Headers(scope=scope)
         self._refuse_plain(scope, headers)
         if self.is_open:
             return Person(name="", role=CLAIMED)
         text = self._token_text(scope, headers)
-        return None if text is None else self.enter(text, address_of(scope))
+        return None if text is None else self.person_of_token(text, address_of(scope))
 
-    def enter(self, text: str, address: str) -> Person:
-        """Return whose token this is.
+    def person_of_token(self, text: str, address: str) -> Person:
+        """Return the person of a token.
 
         Raises
         ------
         Problem
-            401, 429: nobody's, or one that does not open any more.
+            401, 429: the token is unknown, expired or revoked.
         """
         token = self.tokens.find(text)
         if token is not None and token.state == "valid":
@@ -101,23 +101,23 @@ class AccessPolicy:
                 f"More than {MOST_WRONG} wrong tokens came from {address}; a right one is always let in.",
                 "Correct the token, or make a new one with `solimon token create`.",
             )
-        why = "the token is unknown" if token is None else f"the token of {token.name} is {token.state}"
+        reason = "the token is unknown" if token is None else f"the token of {token.name} is {token.state}"
         raise Problem(
             401,
             "wrong-token",
             "The token does not open",
-            f"{why[0].upper()}{why[1:]}.",
+            f"{reason[0].upper()}{reason[1:]}.",
             "Ask an administrator for a new one (`solimon token create`).",
         )
 
-    def stands(self, person: Person) -> bool:
-        """Tell whether who came in may stay: asked again while a stream is open."""
+    def may_stay(self, person: Person) -> bool:
+        """Return whether a person still has access; checked again while a stream is open."""
         if person.role == CLAIMED:
             return self.is_open
         return self.tokens.still_opens(person.name, person.role)
 
-    async def audit_rejection(self, scope: Scope, why: str, *, what: str = "enter") -> None:
-        """Audit a refusal by its cause and the request's name alone: what was asked for may hold a token."""
+    async def audit_rejection(self, scope: Scope, reason: str, *, what: str = "enter") -> None:
+        """Audit a refusal with its reason and request id; the request itself may contain a token."""
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(
             self.audit.tell,
@@ -127,7 +127,7 @@ class AccessPolicy:
             what=what,
             arguments={"request_id": request_id(scope)},
             result="refused",
-            why=why[:LONGEST_WHY],
+            why=reason[:LONGEST_REASON],
         )
 
     def _token_text(self, scope: Scope, headers: Headers) -> str | None:
@@ -155,66 +155,66 @@ class AccessPolicy:
             )
 
     def _allowance(self, address: str) -> Allowance:
-        found = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
-        self._wrong[address] = found
+        allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
+        self._wrong[address] = allowance
         if len(self._wrong) > MOST_ADDRESSES:
             del self._wrong[next(iter(self._wrong))]
-        return found
+        return allowance
 
 
 class AuthenticationMiddleware:
-    """Lets nobody without a token past the page and its login, where tokens are asked for."""
+    """Middleware that allows only page and login without a token, where tokens are required."""
 
-    def __init__(self, app: ASGIApp, doors: AccessPolicy, *, has_tests: bool = False) -> None:
-        self._app, self._doors, self._has_tests = app, doors, has_tests
+    def __init__(self, app: ASGIApp, policy: AccessPolicy, *, has_tests: bool = False) -> None:
+        self._app, self._policy, self._has_tests = app, policy, has_tests
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on who may come in."""
+        """Pass authorized requests on, and answer the others."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
         person, problem = None, None
         try:
-            person = self._doors.person_of(scope)
+            person = self._policy.person_of(scope)
         except Problem as refused:
             problem = refused
         path = OF_TEST.sub("", scope["path"], count=1) if self._has_tests else scope["path"]
-        if path in ANYBODYS or path.startswith(PAGE_FILES):
-            # The page, signs of life and the way in are anybody's; but not over an open line.
+        if path in PUBLIC_PATHS or path.startswith(PAGE_FILES):
+            # Page, health checks and login are public, but not without encryption.
             problem = problem if problem is not None and problem.status == 403 else None
         elif person is None and problem is None:
-            problem = no_token()
+            problem = token_required()
         scope.setdefault("state", {})["person"] = person
         if problem is None:
-            await self._passed(scope, receive, send)
+            await self._pass_on(scope, receive, send)
             return
         if problem.status == 429:
-            self._doors.audit.leave_out()
+            self._policy.audit.leave_out()
         elif problem.name != "no-token" or _writes(scope):
-            await self._doors.audit_rejection(scope, problem.detail)
+            await self._policy.audit_rejection(scope, problem.detail)
         await problem_response(scope, problem)(scope, receive, send)
 
-    async def _passed(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; a write that turns out to be invalid is audited, as other refusals are."""
+    async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, and audit an invalid write."""
         statuses: list[int] = []
 
-        async def heard(message: Message) -> None:
+        async def send_observed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 statuses.append(message["status"])
             await send(message)
 
-        await self._app(scope, receive, heard if _writes(scope) else send)
+        await self._app(scope, receive, send_observed if _writes(scope) else send)
         if 422 in statuses:
             what = getattr(scope.get("route"), "operation_id", None) or "enter"
-            await self._doors.audit_rejection(scope, "the request was not valid", what=what)
+            await self._policy.audit_rejection(scope, "the request was not valid", what=what)
 
 
 def _writes(scope: Scope) -> bool:
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
-def no_token() -> Problem:
-    """Ask for a token."""
+def token_required() -> Problem:
+    """Return the problem that a token is required (401)."""
     return Problem(
         401,
         "no-token",
@@ -225,27 +225,27 @@ def no_token() -> Problem:
 
 
 def person_at(connection: HTTPConnection) -> Person:
-    """Return who asks, of a request that the doorkeeper has let in.
+    """Return the person of a request that has passed the middleware.
 
     Raises
     ------
     Problem
-        401: nobody has said so.
+        401: not logged in.
     """
     person: Any = getattr(connection.state, "person", None)
     if person is None:
-        raise no_token()
+        raise token_required()
     assert isinstance(person, Person)
     return person
 
 
 def is_encrypted(scope: Scope) -> bool:
-    """Tell that the request came over TLS, by the server or a trusted proxy."""
+    """Return whether the request came over TLS, to the server or a trusted proxy."""
     return scope["scheme"] in {"https", "wss"}
 
 
 def address_of(scope: Scope) -> str:
-    """Network address that a request came from; of a trusted proxy's, the one that it names."""
+    """Return the network address of a request; behind a trusted proxy, the address that it states."""
     client = scope.get("client")
     return str(client[0]) if client else "unknown"
 
@@ -257,8 +257,8 @@ def _is_loopback(address: str) -> bool:
         return False
 
 
-def refuse_open_doors(web: WebSettings, data_folder: Path) -> None:
-    """Check before the start that a service that others reach has its locks.
+def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
+    """Check before the start that a reachable service has a token and a certificate.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The one table of roles: what each operation of the interface and each kind of order needs.
+"""Roles required by each operation of the interface and each kind of command.
 
-An operation is named by its `operationId`, a WebSocket or HEAD by its function; one that is not listed is for
-admins, and `tests/contract/test_roles.py` fails. Each role may do what those before it may.
+An operation is named by its `operationId`, a WebSocket or HEAD by its function; an unlisted one requires
+admin, and `tests/contract/test_roles.py` fails. Each role may do what those before it may.
 """
 
 from __future__ import annotations
@@ -13,17 +13,16 @@ from typing import Literal, get_args
 Role = Literal["viewer", "operator", "engineer", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
 CLAIMED = "claimed"
-"""In place of a role where the service asks for no token: everything is allowed, under a name that nobody
-has checked."""
+"""Replaces a role where no token is required: everything is allowed, under an unverified name."""
 
 OPERATIONS: Mapping[str, Role | None] = {
-    # Anybody: signs of life, and the way in.
+    # Public: health checks, and login.
     "get_liveness": None,
     "get_readiness": None,
     "get_session": None,
     "log_in": None,
     "log_out": None,
-    # What there is to see.
+    # Reading.
     "get_info": "viewer",
     "get_health": "viewer",
     "list_transducers": "viewer",
@@ -58,16 +57,16 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_metrics": "viewer",
     "get_notifications": "viewer",
     "list_deliveries": "viewer",
-    # What changes the test; each kind of order has a role of its own below.
+    # Changes of the test; each kind of command has its role below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
     "test_receiver": "engineer",
-    # Who may do all this, and who did.
+    # Tokens and audit.
     "list_tokens": "admin",
     "create_token": "admin",
     "revoke_token": "admin",
     "list_audit": "admin",
-    # Of a service that has several tests.
+    # Service of several tests.
     "list_tests": "viewer",
 }
 ORDERS: Mapping[str, Role] = {
@@ -95,25 +94,25 @@ ORDERS: Mapping[str, Role] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Person:
-    """Who asks.
+    """Person of a request.
 
     Attributes
     ----------
     name
-        Of the token; empty where none is asked for.
+        Name of the token; empty where none is required.
     role
-        Of the token, or `CLAIMED`.
+        Role of the token, or `CLAIMED`.
     """
 
     name: str
     role: str
 
     def may(self, needed: Role | None) -> bool:
-        """Tell whether this person's role is enough."""
+        """Return whether this person's role is sufficient."""
         return needed is None or self.role == CLAIMED or ROLES.index(needed) <= _rank(self.role)
 
     def may_do(self) -> list[str]:
-        """Return the operations and kinds of orders that this person may ask for."""
+        """Return the operations and kinds of commands that this person may use."""
         return sorted({name for name, needed in {**OPERATIONS, **ORDERS}.items() if self.may(needed)})
 
 

@@ -1,7 +1,7 @@
-"""Access tokens: told once when they are made, kept as hashes in a file that a running service follows.
+"""Access tokens: shown once when created, stored as hashes in a file that a running service monitors.
 
-A token is 256 random bits, so its SHA-256 needs neither salt nor a slow hash. What was revoked stays in the
-file: an empty list means that nobody ever asked for tokens, and never that all are gone.
+A token is 256 random bits, so its SHA-256 needs neither salt nor a slow hash. Revoked tokens stay in the
+file: an empty list means that no token was ever created.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 FILE_NAME = "tokens.json"
 LOOK_EVERY_S = 1.0
-"""How long a revoked token may still open."""
+"""Longest time for which a revoked token is still accepted."""
 OWNER_ONLY = 0o600
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,39}")
 _S_PER_DAY = 86_400
@@ -41,7 +41,7 @@ _S_PER_DAY = 86_400
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Token:
-    """What is kept of a token; times are RFC 3339."""
+    """Stored data of a token; times are RFC 3339."""
 
     name: str
     role: Role
@@ -52,18 +52,18 @@ class Token:
 
     @property
     def state(self) -> Literal["valid", "expired", "revoked"]:
-        """How it stands at this moment, by the computer's clock."""
+        """Return the present state, by the computer's clock."""
         if self.revoked_utc is not None:
             return "revoked"
-        over = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
-        return "expired" if over else "valid"
+        is_expired = self.expires_utc is not None and parse_utc(self.expires_utc) <= time.time_ns()
+        return "expired" if is_expired else "valid"
 
 
 _FILE = TypeAdapter(tuple[Token, ...])
 
 
 def tokens_file(web: WebSettings, data_folder: Path) -> Path:
-    """Return the file of a service's tokens."""
+    """Return the path of the tokens file of a service."""
     return Path(web.tokens_file).absolute() if web.tokens_file else data_folder / FILE_NAME
 
 
@@ -73,7 +73,7 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
     Raises
     ------
     StorageError
-        The file cannot be read, or is none of ours.
+        The file cannot be read, or is no tokens file.
     """
     try:
         return _FILE.validate_json(read_shared(path))
@@ -89,7 +89,7 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
 
 
 def create_token(path: Path, name: str, role: Role, *, days: float | None = None) -> tuple[Token, str]:
-    """Make a token and store its hash; the text that opens is returned here and kept nowhere.
+    """Create a token and store its hash; the secret text is only returned and never stored.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
     Raises
     ------
     UsageError
-        The name is none, or has a valid token.
+        The name is invalid, or has a valid token.
     StorageError
         The file cannot be read or written.
     """
@@ -110,7 +110,7 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
     token = Token(
         name=name, role=role, sha256=_sha256(text), created_utc=format_utc(now_ns, 0), expires_utc=expires
     )
-    with _changing(path) as tokens:
+    with _edited_tokens(path) as tokens:
         if any(old.name == name and old.state == "valid" for old in tokens):
             raise UsageError(f"{name} has a token; revoke it first with `solimon token revoke {name}`")
         tokens[:] = [*(old for old in tokens if old.name != name), token]
@@ -118,29 +118,29 @@ def create_token(path: Path, name: str, role: Role, *, days: float | None = None
 
 
 def revoke_token(path: Path, name: str) -> Token:
-    """Let a token open nothing any more.
+    """Revoke a token.
 
     Raises
     ------
     UsageError
-        There is none of that name that could be revoked.
+        There is no active token of that name.
     StorageError
         The file cannot be read or written.
     """
     if not read_tokens(path):
         raise UsageError(f"there is no token {name[:60]!r} to revoke; {path} holds none")
-    with _changing(path) as tokens:
-        place = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
-        if place is None:
+    with _edited_tokens(path) as tokens:
+        index = next((n for n, old in enumerate(tokens) if old.name == name and not old.revoked_utc), None)
+        if index is None:
             names = ", ".join(old.name for old in tokens if not old.revoked_utc) or "none"
             raise UsageError(f"there is no token {name[:60]!r} to revoke; there are: {names}")
-        tokens[place] = replace(tokens[place], revoked_utc=format_utc(time.time_ns(), 0))
-        return tokens[place]
+        tokens[index] = replace(tokens[index], revoked_utc=format_utc(time.time_ns(), 0))
+        return tokens[index]
 
 
 @contextmanager
-def _changing(path: Path) -> Iterator[list[Token]]:
-    """Give the tokens to be changed in place, and write them whole."""
+def _edited_tokens(path: Path) -> Iterator[list[Token]]:
+    """Yield the tokens for changes in place, and then write them."""
     try:
         with one_at_a_time(path):
             tokens = list(read_tokens(path))
@@ -158,9 +158,9 @@ def _sha256(text: str) -> str:
 
 
 class KnownTokens:
-    """The file as a running service knows it, looked at again every second; used on the event loop alone.
+    """Tokens file in a running service, checked every second; used only on the event loop.
 
-    Where the file is gone or cannot be read after tokens were asked for, nobody comes in until it is back.
+    Where the file is missing or unreadable after a token was created, all access is denied until it is back.
     """
 
     def __init__(self, path: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
@@ -172,27 +172,27 @@ class KnownTokens:
 
     @property
     def asked_for(self) -> bool:
-        """True once there was a token, whatever has become of it."""
-        self._look()
+        """Return whether a token was ever created."""
+        self._reload()
         return self._asked_for
 
     def find(self, text: str) -> Token | None:
-        """Return the token with this text, valid or not, in a time that does not depend on it."""
-        self._look()
-        sha256, found = _sha256(text), None
+        """Return the token with this text, valid or not, in constant time."""
+        self._reload()
+        sha256, match = _sha256(text), None
         for token in self._tokens:
             if hmac.compare_digest(token.sha256, sha256):
-                found = token
-        return found
+                match = token
+        return match
 
     def still_opens(self, name: str, role: str) -> bool:
-        """Tell whether this person would be let in now."""
-        self._look()
+        """Return whether a person's token is valid now."""
+        self._reload()
         return any(
             token.name == name and token.role == role and token.state == "valid" for token in self._tokens
         )
 
-    def _look(self) -> None:
+    def _reload(self) -> None:
         if self._mono_s() < self._next_s:
             return
         self._next_s = self._mono_s() + LOOK_EVERY_S
@@ -205,7 +205,7 @@ class KnownTokens:
             log.error("nobody is let in: %s", error)
             self._tokens, self._asked_for = (), True
         was_asked_for = self._asked_for
-        # The first token left the lock: a file of tokens that is lost opens nothing after a restart.
+        # The first token created the lock: after a restart, a lost tokens file still denies access.
         self._asked_for = was_asked_for or bool(self._tokens) or self._path.with_suffix(".lock").exists()
         if self._asked_for and not was_asked_for and not self._tokens:
             log.error("nobody is let in: %s is gone; bring it back, or make new tokens", self._path)
@@ -213,9 +213,9 @@ class KnownTokens:
 
 
 def _mark_of(path: Path) -> tuple[int, ...]:
-    """Return what changes with the file."""
+    """Return a mark that changes with the file."""
     try:
-        found = os.stat(path)  # noqa: PTH116 - the seam is os
+        status = os.stat(path)  # noqa: PTH116 - the seam is os
     except OSError as error:
         return (error.errno or 0,)
-    return found.st_mtime_ns, found.st_size, found.st_ino
+    return status.st_mtime_ns, status.st_size, status.st_ino

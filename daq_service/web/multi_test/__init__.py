@@ -1,1 +1,1 @@
-"""Several tests in one service: each opened when somebody asks for it, a list of all, one set of doors."""
+"""Service of several tests: each opened on request, a list of all, one authentication."""

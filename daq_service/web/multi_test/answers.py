@@ -1,4 +1,4 @@
-"""Shapes of what a service of several tests answers."""
+"""Models of the answers of a service of several tests."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pydantic import Field
 
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue.rows import Severity
-from daq_service.processes.recorder_state import Word
+from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.web.answers.models import Answer, Liveness, PositionStanding
 from daq_service.web.multi_test.location import Absence
 
 
 class Standing(Answer):
-    """How a test stands that can be shown."""
+    """Present state of a test that can be shown."""
 
     rig: str = Field(description="Kind of the rig")
     rig_label: str = Field(description="The same for a person; a twin is a simulation")
@@ -22,7 +22,7 @@ class Standing(Answer):
     epoch_utc: str = Field(description="Hour 0 of the test, RFC 3339")
     now_h: float = Field(description="Now on the test's clock, in h since its hour 0")
     end_h: float = Field(description="Hour of the last planned set, h")
-    recorder: Word = Field(description="How the recorder is")
+    recorder: RecorderStatus = Field(description="How the recorder is")
     wall_age_s: float | None = Field(description="Time since the recorder wrote, s; null: it never did")
     held: str | None = Field(description="Who holds the test and why; null: nobody does")
     state: PositionStatus = Field(description="The gravest state of its positions")
@@ -36,7 +36,7 @@ class Standing(Answer):
 
 
 class ListedTest(Answer):
-    """A test of this service, whether it can be shown or not."""
+    """Test of this service, also one that cannot be shown."""
 
     test: str = Field(description="Its name in addresses")
     name: str = Field(description="The experiment's; while that cannot be read, the folder's or file's")
@@ -54,7 +54,7 @@ class ListedTest(Answer):
 
 
 class ListedTests(Answer):
-    """ServedTests in the order in which the service was given them."""
+    """Tests in the order of the command line."""
 
     items: list[ListedTest] = Field(description="One entry a test")
 

@@ -1,4 +1,4 @@
-"""The application of several tests: their list, and each test's own interface below its name."""
+"""Application of several tests: their list, and the interface of each test below its name."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ RESOURCES = (routes, session, tokens, audit)
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     tests: ServedTests = app.state.tests
-    looking_after = asyncio.create_task(tests.look_after())
+    maintenance = asyncio.create_task(tests.maintain())
     try:
         yield
     finally:
-        looking_after.cancel()
+        maintenance.cancel()
         with suppress(asyncio.CancelledError):
-            await looking_after
+            await maintenance
         await tests.close()
 
 
-class BelowNames:
-    """Hands a request to the one application of all tests, with the test that it is about."""
+class TestDispatcher:
+    """Dispatches a request to the application of all tests, with the context of its test."""
 
     def __init__(self, tests: ServedTests, times: AnswerTimes) -> None:
         self._tests = tests
@@ -47,17 +47,17 @@ class BelowNames:
         self._application.state.answer_times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Open the test for as long as the answer lasts; its page is there without one, too."""
-        async with AsyncExitStack() as used:
+        """Open the test during the response; its page is served also without it."""
+        async with AsyncExitStack() as stack:
             try:
-                test = self._tests.named(scope["path_params"]["test"])
+                test = self._tests.find(scope["path_params"]["test"])
             except Problem as problem:
                 await problem_response(scope, problem)(scope, receive, send)
                 return
             path = scope["path"].removeprefix(f"/tests/{test.name}")
             try:
                 if not path.startswith(PAGE_FILES) and (path != "/" or scope["state"]["person"]):
-                    scope["state"]["test"] = await used.enter_async_context(self._tests.opened(test))
+                    scope["state"]["test"] = await stack.enter_async_context(self._tests.use(test))
             except Problem as problem:
                 if path != "/":
                     await problem_response(scope, problem)(scope, receive, send)
@@ -66,16 +66,16 @@ class BelowNames:
 
 
 def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) -> FastAPI:
-    """Build the service of several tests.
+    """Return the application of several tests.
 
     Parameters
     ----------
     paths
-        Configurations or data folders; those that cannot be shown are listed and hinder nobody.
+        Configurations or data folders; those that cannot be shown are only listed.
     settings
-        Of the service: its table ``web``.
+        Settings of the service: its table ``web``.
     folder
-        Of the service: tokens, audit of logins, log.
+        Folder of the service: tokens, audit of logins, log.
 
     Raises
     ------
@@ -94,10 +94,10 @@ def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) 
     )
     context = Context(settings, folder)
     guard(app, context, has_tests=True)
-    app.state.tests = ServedTests(paths, context.doors)
+    app.state.tests = ServedTests(paths, context.access_policy)
     app.state.listing = Listing(app.state.tests)
     app.include_router(routes.probes)
     app.include_router(versioned(RESOURCES))
     app.include_router(routes.pages)
-    app.mount("/tests/{test}", BelowNames(app.state.tests, app.state.answer_times))
+    app.mount("/tests/{test}", TestDispatcher(app.state.tests, app.state.answer_times))
     return app

@@ -1,4 +1,4 @@
-"""How each test stands: read without opening it for long, and no more often than it can have changed."""
+"""List of the tests with their present state, read only when it may have changed."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339
-from daq_service.web.multi_test.location import AbsentError, folder_of, look, reading
+from daq_service.web.multi_test.location import AbsentError, absent_errors, folder_of, locate_test
 from daq_service.web.multi_test.open_tests import ServedTest, ServedTests
 from daq_service.web.routes.info import RIG_LABELS
 
 CHANGING_S = 2.0
 ENDED_S = 60.0
-"""So old may an entry be of a test that is recorded, and of one whose files have not changed since."""
+"""Maximum age of an entry of a recorded test, and of one with unchanged files."""
 MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE, EXPERIMENT_FILE)
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _CachedEntry:
     entry: dict[str, Any]
     folder: Path
     mark: tuple[int, ...]
     read_s: float
 
-    def is_good(self, now_s: float) -> bool:
+    def is_current(self, now_s: float) -> bool:
         if now_s - self.read_s < CHANGING_S:
             return True
         standing = self.entry["standing"]
@@ -45,29 +45,31 @@ class _Seen:
 
 
 class Listing:
-    """Entries of the list, shared by all who ask."""
+    """List of the tests, shared by all requests."""
 
     def __init__(self, tests: ServedTests) -> None:
         self._tests = tests
         self._lock = threading.Lock()
-        self._seen: dict[str, _Seen] = {}
+        self._cached: dict[str, _CachedEntry] = {}
 
     def entries(self) -> list[dict[str, Any]]:
-        """Read those that may have changed; blocks on files."""
+        """Return the entries, and read those again that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
-                seen, now_s = self._seen.get(test.name), time.monotonic()
-                if seen is None or not seen.is_good(now_s):
+                cached, now_s = self._cached.get(test.name), time.monotonic()
+                if cached is None or not cached.is_current(now_s):
                     folder = folder_of(test.path)
-                    # Before it is read: what changes meanwhile is seen the next time.
+                    # Before the read: a change meanwhile is noticed the next time.
                     mark = _mark_of(folder)
-                    self._seen[test.name] = _Seen(self._entry(test), folder, mark, now_s)
+                    self._cached[test.name] = _CachedEntry(self._entry(test), folder, mark, now_s)
             now_s = time.monotonic()
-            return [seen.entry | {"looked_age_s": now_s - seen.read_s} for seen in self._seen.values()]
+            return [
+                cached.entry | {"looked_age_s": now_s - cached.read_s} for cached in self._cached.values()
+            ]
 
     def shown(self) -> int:
-        """Count the tests that could be shown when they were last looked at."""
-        return sum(seen.entry["state"] == "shown" for seen in list(self._seen.values()))
+        """Return the number of tests that could be shown at their last read."""
+        return sum(cached.entry["state"] == "shown" for cached in list(self._cached.values()))
 
     def _entry(self, test: ServedTest) -> dict[str, Any]:
         page = f"/tests/{test.name}/"
@@ -83,37 +85,41 @@ class Listing:
             "standing": None,
         }
         try:
-            settings, folder = look(test.path, self._tests.doors)
+            settings, folder = locate_test(test.path, self._tests.access_policy)
             test.title = entry["name"] = settings.name
-            with reading(), open_catalogue(folder) as catalogue:
-                return entry | {"standing": _standing(settings, folder, catalogue)}
+            with absent_errors(), open_catalogue(folder) as catalogue:
+                return entry | {"standing": _present_state(settings, folder, catalogue)}
         except AbsentError as error:
             return entry | {"state": error.state, "detail": f"{error}", "remedy": error.remedy}
 
 
 def _mark_of(folder: Path) -> tuple[int, ...]:
-    """Give what changes with the files by which a test stands."""
+    """Return a mark that changes with the files of a test."""
     marks: list[int] = []
     for name in MARKS:
         try:
-            found = (folder / name).stat()
+            status = (folder / name).stat()
         except OSError:
             marks += (0, 0)
         else:
-            marks += (found.st_mtime_ns, found.st_size)
+            marks += (status.st_mtime_ns, status.st_size)
     return tuple(marks)
 
 
-def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
+def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
     fresh = Freshness(folder, catalogue, settings.clock.kind)
-    words = catalogue.positions_state()
+    summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        _position(settings, fresh, name, words.get(name) or LatestRows(position=name, method=place.method))
+        _position(
+            settings, fresh, name, summaries.get(name) or LatestRows(position=name, method=place.method)
+        )
         for name, place in settings.positions.items()
     ]
     active = catalogue.rows(AlarmRow, active=True)
-    measured = [row for word in words.values() if (row := word.last_feature or word.last_thickness)]
+    measured = [
+        row for summary in summaries.values() if (row := summary.last_feature or summary.last_thickness)
+    ]
     newest = max(measured, key=lambda row: row.set_index, default=None)
     return {
         "rig": settings.rig.kind,
@@ -122,7 +128,7 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
         "epoch_utc": rfc3339(fresh.epoch_utc_ns),
         "now_h": fresh.now_h,
         "end_h": hours[-1] if hours else 0.0,
-        "recorder": fresh.recorder.word,
+        "recorder": fresh.recorder.status,
         "wall_age_s": fresh.wall_age_s,
         "held": catalogue.held(),
         "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),
@@ -136,14 +142,14 @@ def _standing(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[st
     }
 
 
-def _position(settings: Settings, fresh: Freshness, name: str, word: LatestRows) -> dict[str, Any]:
-    place, data_h = settings.positions[name], data_hour(word)
+def _position(settings: Settings, fresh: Freshness, name: str, summary: LatestRows) -> dict[str, Any]:
+    settings_of_position, data_h = settings.positions[name], data_hour(summary)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {
         "position": name,
-        "label": place.label,
-        "method": place.method,
-        "state": status_of(fresh.standing_word(word)),
+        "label": settings_of_position.label,
+        "method": settings_of_position.method,
+        "state": status_of(fresh.standing_word(summary)),
         "stale": is_stale(settings.schedule, fresh, age_h),
         "data_h": data_h,
         "age_h": age_h,

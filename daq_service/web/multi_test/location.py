@@ -1,4 +1,4 @@
-"""Where a test lies, and why one cannot be shown: read anew whenever somebody asks."""
+"""Location of a test, and the reason why it cannot be shown; read again for each request."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ REMEDIES: Mapping[Absence, str] = {
 class AbsentError(SolimonError):
     """A test cannot be shown now."""
 
-    def __init__(self, state: Absence, told: str) -> None:
-        super().__init__(told)
+    def __init__(self, state: Absence, message: str) -> None:
+        super().__init__(message)
         self.state = state
 
     @property
     def remedy(self) -> str:
-        """What helps."""
+        """Remedy for the state."""
         return REMEDIES[self.state]
 
 
 def is_configuration(path: Path) -> bool:
-    """Tell a configuration from a data folder, also where nothing is there."""
+    """Return whether a path is a configuration and no data folder, also where it does not exist."""
     return path.is_file() or (not path.is_dir() and path.suffix in {".toml", ".json"})
 
 
 def folder_of(path: Path) -> Path:
-    """Give the data folder; of a configuration that is refused, the file itself stands for it."""
+    """Return the data folder of a path; for an invalid configuration, the path itself."""
     if not is_configuration(path):
         return path.absolute()
     try:
@@ -69,34 +69,34 @@ def folder_of(path: Path) -> Path:
 
 
 def title_of(path: Path) -> str:
-    """Give the experiment's name; the folder's or file's own while that cannot be read."""
+    """Return the name of the test, or that of its folder or file while it cannot be read."""
     try:
-        with reading():
+        with absent_errors():
             return _settings_and_folder(path)[0].name
     except AbsentError:
         return path.absolute().stem if is_configuration(path) else path.absolute().name
 
 
-def look(path: Path, doors: AccessPolicy) -> tuple[Settings, Path]:
-    """Read what a test was begun with, and where it lies; nothing is made.
+def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path]:
+    """Read settings and data folder of a test, without writing.
 
     Parameters
     ----------
-    doors
-        Of the service: one without tokens does not show a test whose own service asks for some.
+    access_policy
+        Policy of the service: without tokens it does not show a test that requires tokens.
 
     Raises
     ------
     AbsentError
-        It cannot be shown now.
+        The test cannot be shown now.
     """
-    with reading():
+    with absent_errors():
         settings, folder = _settings_and_folder(path)
         if not folder.is_dir():
             raise AbsentError("missing", f"There is no data folder {folder}.")
-        own = tokens_file(settings.web, folder)
-        if doors.is_open and read_tokens(own):
-            raise AbsentError("locked", f"{own} holds access tokens, and this service asks for none.")
+        tokens_path = tokens_file(settings.web, folder)
+        if access_policy.is_open and read_tokens(tokens_path):
+            raise AbsentError("locked", f"{tokens_path} holds access tokens, and this service asks for none.")
         return settings, folder
 
 
@@ -125,15 +125,15 @@ def _experiment(folder: Path) -> ExperimentRow:
         with open_catalogue(folder) as catalogue:
             return catalogue.experiment_row()
     except NoDataYetError:
-        kept = read_experiment(folder)  # where the catalogue is lost
-        if kept is None:
+        stored = read_experiment(folder)  # where the catalogue is lost
+        if stored is None:
             raise
-        return kept
+        return stored
 
 
 @contextmanager
-def reading() -> Iterator[None]:
-    """Name what keeps a test from being read.
+def absent_errors() -> Iterator[None]:
+    """Convert errors of a data folder to `AbsentError`.
 
     Raises
     ------

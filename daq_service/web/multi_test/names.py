@@ -1,4 +1,4 @@
-"""How tests are called in addresses."""
+"""Names of tests in addresses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LONGEST_NAME = 60
 
 
 def url_name(text: str) -> str:
-    """Make a name of small letters, digits and hyphens; "test" where nothing of the text is left.
+    """Return a name of lower-case letters, digits and hyphens; "test" where nothing of the text remains.
 
     >>> url_name("Größe: Loch Nr. 2")
     'grosse-loch-nr-2'
@@ -20,7 +20,7 @@ def url_name(text: str) -> str:
 
 
 def url_names(texts: Iterable[str]) -> list[str]:
-    """Name each in its order; a name that is taken gets a number behind it, beginning with 2."""
+    """Return unique names in order; a repeated name gets a number as suffix, starting with 2."""
     names: list[str] = []
     for text in texts:
         plain = name = url_name(text)

@@ -1,4 +1,4 @@
-"""The tests of a service: each is opened when it is asked for, and closed when nobody asks any more."""
+"""Tests of a service, each opened on request and closed when idle."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from daq_service.errors import UsageError
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.context import Context
-from daq_service.web.multi_test.location import AbsentError, folder_of, look, title_of
+from daq_service.web.multi_test.location import AbsentError, folder_of, locate_test, title_of
 from daq_service.web.multi_test.names import url_names
 
 log = logging.getLogger(__name__)
 
 IDLE_S = 60.0
-"""A test that nobody has asked for as long is closed."""
+"""A test without a request for this time is closed."""
 LOOK_EVERY_S = 10.0
 MOST_IDLE = 8
-"""So many tests that nobody asks for stay open at most: each keeps some 5 MB of events and two threads."""
+"""Maximum of open idle tests: each needs some 5 MB for events and two threads."""
 
 
 class ServedTest:
-    """One of them; `title` for a person, `context` while it is open."""
+    """Test of a service; `title` for a person, `context` while it is open."""
 
     def __init__(self, name: str, title: str, path: Path) -> None:
         self.name, self.title, self.path = name, title, path
         self.context: Context | None = None
         self.users = 0
         self.notifies: bool | None = None
-        """Whether it has receivers of notifications: then it stays open. None: it could not be read yet."""
+        """True: it has receivers of notifications and stays open. None: it could not be read yet."""
         self.used_s = 0.0
         self.changing = asyncio.Lock()
-        self.left = AsyncExitStack()
+        self.resources = AsyncExitStack()
 
 
 class ServedTests:
@@ -48,16 +48,16 @@ class ServedTests:
         Two paths mean the same folder.
     """
 
-    def __init__(self, paths: Sequence[Path], doors: AccessPolicy) -> None:
+    def __init__(self, paths: Sequence[Path], access_policy: AccessPolicy) -> None:
         folders: dict[Path, Path] = {}
         for path in paths:
             other = folders.setdefault(folder_of(path).resolve(), path)
             if other is not path:
                 raise UsageError(f"{other} and {path} mean the same test; leave one of them out")
-        self.doors = doors
+        self.access_policy = access_policy
         titles = [title_of(path) for path in paths]
-        found = zip(url_names(titles), titles, paths, strict=True)
-        self.all = {name: ServedTest(name, title, path) for name, title, path in found}
+        entries = zip(url_names(titles), titles, paths, strict=True)
+        self.all = {name: ServedTest(name, title, path) for name, title, path in entries}
 
     def streams(self) -> int:
         """Count the open streams of events of all tests."""
@@ -69,8 +69,8 @@ class ServedTests:
             if test.context is not None:
                 test.context.close_streams()
 
-    def named(self, name: str) -> ServedTest:
-        """Find a test.
+    def find(self, name: str) -> ServedTest:
+        """Return the test of a name.
 
         Raises
         ------
@@ -82,8 +82,8 @@ class ServedTests:
         return self.all[name]
 
     @asynccontextmanager
-    async def opened(self, test: ServedTest) -> AsyncIterator[Context]:
-        """Use a test; it stays open meanwhile.
+    async def use(self, test: ServedTest) -> AsyncIterator[Context]:
+        """Open a test, and yield its context; it stays open meanwhile.
 
         Raises
         ------
@@ -102,59 +102,59 @@ class ServedTests:
     async def _open(self, test: ServedTest) -> Context:
         await self.close_idle(keep=MOST_IDLE - 1)
         try:
-            settings, folder = await asyncio.to_thread(look, test.path, self.doors)
+            settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)
         except AbsentError as error:
             raise unavailable(error) from None
-        context = Context(settings, folder, doors=self.doors, open_streams=self.streams)
-        await test.left.enter_async_context(context.followed())
+        context = Context(settings, folder, access_policy=self.access_policy, open_streams=self.streams)
+        await test.resources.enter_async_context(context.run_background_tasks())
         test.context = context
         log.info("opened %s: %s", test.name, folder)
         return context
 
     async def close_idle(self, *, keep: int = MOST_IDLE, for_s: float = 0.0) -> None:
-        """Close tests that nobody uses but for the ``keep`` last used; those unused for ``for_s``, too."""
+        """Close idle tests except the ``keep`` most recent ones, and those idle for ``for_s``."""
         now_s = time.monotonic()
         shown = [test for test in self.all.values() if test.context is not None and not test.notifies]
         idle = [test for test in shown if not test.users]
         idle.sort(key=lambda test: test.used_s, reverse=True)
-        for place, test in enumerate(idle):
-            if place >= keep or now_s - test.used_s >= for_s > 0.0:
+        for rank, test in enumerate(idle):
+            if rank >= keep or now_s - test.used_s >= for_s > 0.0:
                 async with test.changing:
-                    if not test.users:  # somebody may have come while it was waited for
+                    if not test.users:  # a request may have come meanwhile
                         await self._close(test)
 
     async def _close(self, test: ServedTest) -> None:
         test.context = None
-        await test.left.aclose()
+        await test.resources.aclose()
         log.info("closed %s", test.name)
 
-    async def look_after(self) -> None:
-        """Keep those open that notify, and close idle ones, from time to time, without end."""
+    async def maintain(self) -> None:
+        """Open tests with receivers and close idle ones, periodically without end."""
         while True:
             await self.open_notifying()
             await asyncio.sleep(LOOK_EVERY_S)
             await self.close_idle(for_s=IDLE_S)
 
     async def open_notifying(self) -> None:
-        """Open the tests whose alarms receivers wait for; one that cannot be read is tried again later."""
+        """Open the tests with receivers of notifications; retry an unreadable one later."""
         for test in self.all.values():
             with suppress(Problem, AbsentError):
                 if test.notifies is None:
-                    settings, _ = await asyncio.to_thread(look, test.path, self.doors)
+                    settings, _ = await asyncio.to_thread(locate_test, test.path, self.access_policy)
                     test.notifies = bool(settings.notifications.receivers)
                 if test.notifies:
-                    async with self.opened(test):
+                    async with self.use(test):
                         pass
 
     async def close(self) -> None:
-        """Close all."""
+        """Close all tests."""
         for test in self.all.values():
             async with test.changing:
                 await self._close(test)
 
 
 def unavailable(error: AbsentError) -> Problem:
-    """Say that a test cannot be shown, and what helps."""
+    """Return the problem that a test cannot be shown, with the remedy (503)."""
     return Problem(
         503,
         "no-data-yet" if error.state == "no_data" else "test-unavailable",

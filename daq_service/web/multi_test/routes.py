@@ -1,4 +1,4 @@
-"""What a service of several tests answers itself: the list, signs of life, metrics of all."""
+"""Routes of a service of several tests: list, health checks, metrics of all tests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from daq_service.web.assets import answer_asset, get_asset
 from daq_service.web.context import Context
 from daq_service.web.multi_test.answers import ListedTests, ServiceLiveness
 from daq_service.web.multi_test.listing import Listing
-from daq_service.web.multi_test.location import AbsentError, look
+from daq_service.web.multi_test.location import AbsentError, locate_test
 from daq_service.web.multi_test.open_tests import ServedTests
 from daq_service.web.routes.metrics import OPENMETRICS, exposition, of_clients, of_service, of_test
 
@@ -33,19 +33,19 @@ def _listing(request: Request) -> Listing:
 
 @router.get("/tests", operation_id="list_tests", response_model=ListedTests)
 def list_tests(request: Request) -> JsonAnswer:
-    """List the tests of this service with their states; one that cannot be shown says what helps."""
+    """List the tests of this service with their states, and the remedy for those that cannot be shown."""
     return JsonAnswer({"items": _listing(request).entries()})
 
 
 @probes.get("/healthz", operation_id="get_liveness", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
-    """Say that the process of the service answers; no folder is looked at."""
+    """Return that the process of the service responds, without reading a folder."""
     return JsonAnswer(_liveness(request))
 
 
 @probes.get("/readyz", operation_id="get_readiness", response_model=ServiceLiveness, responses=problems(503))
 def get_readiness(request: Request) -> JsonAnswer:
-    """Say whether any test can be shown."""
+    """Return whether any test can be shown."""
     entries = _listing(request).entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
@@ -65,30 +65,30 @@ def _liveness(request: Request) -> dict[str, object]:
 
 @probes.get("/metrics", operation_id="get_metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request) -> Response:
-    """Tell of every test what its own metrics tell, with a label `test`; and which cannot be shown."""
+    """Return the metrics of every test with a label `test`, and which tests can be shown."""
     tests: ServedTests = request.app.state.tests
     merged = {metric.name: metric for metric in of_service()}
     shown = GaugeMetricFamily("solimon_test_shown", "1: the test can be shown", labels=["test"])
     for name, test in list(tests.all.items()):
-        found = list(_of_one(tests, name))
-        shown.add_metric([name], float(bool(found)))
+        metrics = list(_metrics_of_test(tests, name))
+        shown.add_metric([name], float(bool(metrics)))
         if test.context is not None:
-            found += of_clients(test.context)
-        for metric in found:
-            its = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
-            its.samples += [
+            metrics += of_clients(test.context)
+        for metric in metrics:
+            family = merged.setdefault(metric.name, Metric(metric.name, metric.documentation, metric.type))
+            family.samples += [
                 sample._replace(labels={"test": name, **sample.labels}) for sample in metric.samples
             ]
     return exposition([*merged.values(), shown], request)
 
 
-def _of_one(tests: ServedTests, name: str) -> Iterator[Metric]:
-    """Metrics of a test, which is not opened for it: who scrapes must not keep every test open."""
+def _metrics_of_test(tests: ServedTests, name: str) -> Iterator[Metric]:
+    """Yield the metrics of a test without opening it, so that scraping does not keep every test open."""
     try:
-        settings, folder = look(tests.all[name].path, tests.doors)
+        settings, folder = locate_test(tests.all[name].path, tests.access_policy)
     except AbsentError:
         return
-    context = Context(settings, folder, doors=tests.doors)
+    context = Context(settings, folder, access_policy=tests.access_policy)
     try:
         yield from of_test(context)
     finally:
@@ -103,7 +103,7 @@ async def get_list_page(request: Request) -> Response:
 
 @pages.get("/api/v1/{rest:path}")
 async def get_elsewhere(rest: str) -> Response:
-    """Send who takes this for the service of a single test to the list."""
+    """Raise 404 with a reference to the list, for clients that expect the service of a single test."""
     raise not_found(
         f"There is no /api/v1/{rest[:80]} of all tests together.",
         "This service has several tests: /api/v1/tests lists them, each answers below /tests/NAME/api/v1.",

@@ -1,1 +1,1 @@
-"""A test, or some hours of it, as one page of HTML: reads alone, prints on A4, refers to nothing outside."""
+"""Report of a test, or of some hours, as one self-contained HTML page that prints on A4."""

@@ -1,4 +1,4 @@
-"""What a report says: read once from the catalogue, figures and tables show nothing else."""
+"""Contents of a report, read once from the catalogue for all figures and tables."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ from hardware_drivers.nanoseconds import NS_PER_H
 log = logging.getLogger(__name__)
 
 MOST_SETS = 20_000
-"""Of a position: each is a point of every figure."""
+"""Limit per position: each set is a point of every figure."""
 MOST_LINES = 500
-"""Of alarms, annotations, orders and the audit each; the newest are shown."""
+"""Limit for each of alarms, annotations, commands and the audit; the newest are shown."""
 OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_ASSESSMENTS = (
     "due_h",
@@ -61,7 +61,7 @@ Columns = Mapping[str, list[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Planned sets that follow each other and were missed or lack something, for one cause."""
+    """Consecutive planned sets that were missed or are incomplete, with one cause."""
 
     position: str
     state: str
@@ -72,17 +72,17 @@ class Gap:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
-    """A position: how it stands now, and its sets of the range, a list a column.
+class PositionReport:
+    """Position: its present state, and its sets of the range as columns.
 
     Attributes
     ----------
     values
         Features of the sets' means, or thickness.
     assessments
-        None of a probe.
+        None for pulse echo.
     thickness_interval_m
-        95 % interval of the newest reading; None: it has none, or a record of it cannot be read.
+        95 % interval of the newest reading; None: not available, or a record is unreadable.
     """
 
     name: str
@@ -103,18 +103,18 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contents:
-    """Everything that a report says; hours are those of the test, ``to_h`` is not in the range.
+    """All contents of a report; hours are those of the test, ``to_h`` is excluded.
 
     Attributes
     ----------
     files_sha256
         Digest of the names and SHA-256 of the sets' files in the range, in their order; ``n_files`` of them.
     baselines
-        Names by their id.
+        Baselines by their id.
     history
         Events of the alarms, by the alarm's id.
     audit
-        None: whoever asked may not see it.
+        None: the reader has no permission.
     """
 
     experiment: ExperimentRow
@@ -131,7 +131,7 @@ class Contents:
     n_files: int
     files_sha256: str
     extractors: Sequence[str]
-    places: Sequence[Place]
+    positions: Sequence[PositionReport]
     gaps: Sequence[Gap]
     baselines: Mapping[int, BaselineRow]
     alarms: Sequence[AlarmRow]
@@ -144,14 +144,14 @@ class Contents:
 def read_contents(
     folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
 ) -> Contents:
-    """Read what a report of a test says, also of one that runs.
+    """Read the contents of a report, also of a running test.
 
     Parameters
     ----------
     from_h, to_h
         Hours of the test, the first included, the last not; None is open.
     audited
-        Also who asked for what.
+        Include the audit log.
 
     Raises
     ------
@@ -170,20 +170,24 @@ def read_contents(
             raise UsageError(
                 f"the report would begin at {begin_h:g} h and end at {end_h:g} h; let it end later"
             )
-        asked: Filters = {
+        filters: Filters = {
             "first_h": from_h,
             "last_h": None if to_h is None else math.nextafter(to_h, -math.inf),
         }
-        sets = {name: _sets(catalogue, name, asked) for name in settings.positions}
-        words, archive = catalogue.positions_state(), FolderSetReader(folder)
-        places = [
-            _place(catalogue, archive, settings, fresh, name, words.get(name), sets[name], asked)
+        sets = {name: _sets(catalogue, name, filters) for name in settings.positions}
+        summaries, archive = catalogue.positions_state(), FolderSetReader(folder)
+        positions = [
+            _position_report(
+                catalogue, archive, settings, fresh, name, summaries.get(name), sets[name], filters
+            )
             for name in settings.positions
         ]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
-        told = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
+        file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
-            fresh.standing(row) for row in catalogue.rows(AlarmRow) if _stood(row, experiment, begin_h, end_h)
+            fresh.standing(row)
+            for row in catalogue.rows(AlarmRow)
+            if _was_active(row, experiment, begin_h, end_h)
         ]
         started = catalogue.last_service_event("recorder_started")
         return Contents(
@@ -199,24 +203,28 @@ def read_contents(
             held=catalogue.held(),
             rig_identity={} if started is None else started.payload.get("rig_identity", {}),
             n_files=len(files),
-            files_sha256=hashlib.sha256(told.encode()).hexdigest(),
+            files_sha256=hashlib.sha256(file_list.encode()).hexdigest(),
             extractors=sorted(
-                {word.last_feature.extractor_version for word in words.values() if word.last_feature}
+                {
+                    summary.last_feature.extractor_version
+                    for summary in summaries.values()
+                    if summary.last_feature
+                }
             ),
-            places=places,
+            positions=positions,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
             baselines=catalogue.baselines_by_id(),
             alarms=alarms[-MOST_LINES:],
             history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
-            annotations=catalogue.rows(AnnotationRow, **asked)[-MOST_LINES:],
+            annotations=catalogue.rows(AnnotationRow, **filters)[-MOST_LINES:],
             orders=[as_it_stands(row, left_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]],
-            audit=[deed for _, deed in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
+            audit=[entry for _, entry in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
         )
 
 
-def _sets(catalogue: Catalogue, position: str, asked: Filters) -> list[SetRow]:
-    of_place: Filters = {**asked, "position": position}
-    rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **of_place)
+def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
+    position_filters: Filters = {**filters, "position": position}
+    rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **position_filters)
     if len(rows) > MOST_SETS:
         raise UsageError(
             f"position {position} has more than {MOST_SETS} sets in this range, and a report shows "
@@ -225,36 +233,36 @@ def _sets(catalogue: Catalogue, position: str, asked: Filters) -> list[SetRow]:
     return rows
 
 
-def _place(
+def _position_report(
     catalogue: Catalogue,
     archive: FolderSetReader,
     settings: Settings,
     fresh: Freshness,
     name: str,
-    word: LatestRows | None,
+    summary: LatestRows | None,
     sets: Sequence[SetRow],
-    asked: Filters,
-) -> Place:
-    place = settings.positions[name]
-    last = word or LatestRows(position=name, method=place.method)
+    filters: Filters,
+) -> PositionReport:
+    position_settings = settings.positions[name]
+    last = summary or LatestRows(position=name, method=position_settings.method)
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    is_probe = place.method == PULSE_ECHO
+    is_probe = position_settings.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
-    of_sets: Filters = {**asked, "position": name, "scope": None if is_probe else "set"}
-    of_assessments: Filters = {**asked, "position": name}
+    set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
+    assessment_filters: Filters = {**filters, "position": name}
     interval_m = None
     if last.last_thickness is not None:
         try:
             interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, archive)
-        except ArchiveError as error:  # the page says that there is none; the reading is in the catalogue
+        except ArchiveError as error:  # the page shows no interval; the reading is in the catalogue
             log.info("no interval of position %s: %s", name, error)
     states = [row.state for row in sets]
-    return Place(
+    return PositionReport(
         name=name,
-        label=place.label,
-        method=place.method,
-        serial_number=place.serial_number,
+        label=position_settings.label,
+        method=position_settings.method,
+        serial_number=position_settings.serial_number,
         last=last,
         state=status_of(fresh.standing_word(last)),
         data_h=data_h,
@@ -262,22 +270,24 @@ def _place(
         stale=is_stale(settings.schedule, fresh, age_h),
         limit=limit_of(last, settings),
         thickness_interval_m=interval_m,
-        values=catalogue.columns(kind, columns, **of_sets),
-        assessments=None if is_probe else catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **of_assessments),
+        values=catalogue.columns(kind, columns, **set_filters),
+        assessments=None
+        if is_probe
+        else catalogue.columns(AssessmentRow, OF_ASSESSMENTS, **assessment_filters),
         states={state: states.count(state) for state in dict.fromkeys(states)},
     )
 
 
 def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
-    """Name the sets that are not done, those together that follow each other for one cause."""
-    lacking = [row for row in sets if row.state != "done"]
+    """Return the sets that are not done, consecutive ones with the same cause as one gap."""
+    incomplete = [row for row in sets if row.state != "done"]
     runs: list[list[SetRow]] = []
-    for before, row in pairwise([None, *lacking]):
-        assert row is not None, "only what stands before the first is none"
-        goes_on = before is not None and (row.set_index, row.state, row.cause) == (
+    for before, row in pairwise([None, *incomplete]):
+        assert row is not None, "only the predecessor of the first is None"
+        continues = before is not None and (row.set_index, row.state, row.cause) == (
             *(before.set_index + 1, before.state, before.cause),
         )
-        if goes_on:
+        if continues:
             runs[-1].append(row)
         else:
             runs.append([row])
@@ -294,17 +304,17 @@ def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
     ]
 
 
-def _stood(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: float) -> bool:
-    """Tell that an alarm was raised, or stood, in the range."""
+def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: float) -> bool:
+    """Return whether an alarm was raised or active in the range."""
     cleared_ns = row.cleared_utc_ns
     cleared_h = math.inf if cleared_ns is None else (cleared_ns - experiment.epoch_utc_ns) / NS_PER_H
     return row.raised_h < to_h and cleared_h >= from_h
 
 
 def _history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
-    found: dict[int, list[EventRow]] = {}
+    events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):
         alarm_id = event.payload.get("alarm_id")
         if isinstance(alarm_id, int) and alarm_id in ids:
-            found.setdefault(alarm_id, []).append(event)
-    return found
+            events_by_alarm.setdefault(alarm_id, []).append(event)
+    return events_by_alarm

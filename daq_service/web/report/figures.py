@@ -1,4 +1,4 @@
-"""Figures of a report as SVG within the page: each set a point, outliers and bad sets by shape, gaps shaded.
+"""Figures of a report as SVG: each set a point, outliers and bad sets by shape, gaps shaded.
 
 Object-oriented API only, text stays text, and the same numbers give the same bytes.
 """
@@ -15,16 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from daq_service.web.report.contents import Columns, Contents, Place
+from daq_service.web.report.contents import Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
 WIDTH_IN, PANEL_IN = 7.2, 1.75
 MARGIN = 0.01
-"""Of the hours, at both ends: the first and the last point are seen as a whole."""
+"""Fraction of the hours at both ends, so that the first and last points are fully visible."""
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
-"""Where a legend hides nothing."""
+"""Position of a legend above the axes."""
 RULES: Any = {
     "font.family": "sans-serif",
     "font.size": 8.5,
@@ -46,49 +46,49 @@ RULES: Any = {
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
-def figure_of(contents: Contents, place: Place) -> str:
-    """Draw a position's values over the hours of the test; the SVG element, empty without any value."""
-    if not place.values["due_h"]:
+def figure_of(contents: Contents, position: PositionReport) -> str:
+    """Return the figure of a position over the hours of the test as SVG element; empty without values."""
+    if not position.values["due_h"]:
         return ""
     with mpl.rc_context(RULES):
-        panels = _echo_panels if place.method == PULSE_ECHO else _wave_panels
-        number = 1 if place.method == PULSE_ECHO else 3
+        panels = _echo_panels if position.method == PULSE_ECHO else _wave_panels
+        number = 1 if position.method == PULSE_ECHO else 3
         figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * number), layout="constrained")
         axes = [axis for (axis,) in figure.subplots(number, 1, squeeze=False, sharex=True)]
-        panels(contents, place, axes)
+        panels(contents, position, axes)
         for axis in axes:
-            _mark(contents, place, axis)
+            _mark(contents, position, axis)
         to_h = min(contents.to_h, contents.now_h)
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
-        return svg_of(figure, f"figure-{place.name}")
+        return svg_of(figure, f"figure-{position.name}")
 
 
 def svg_of(figure: Figure, prefix: str) -> str:
-    """Draw a figure as the SVG element of a page; ``prefix`` begins its names there."""
+    """Return a figure as SVG element of a page; ``prefix`` makes its ids unique."""
     content = io.StringIO()
     figure.savefig(content, format="svg", metadata=_NO_METADATA)
-    return _within_a_page(content.getvalue(), prefix)
+    return _page_element(content.getvalue(), prefix)
 
 
-def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
-    assert place.assessments is not None, "these have them"
+def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+    assert position.assessments is not None, "these have them"
     for axis, name, factor, label in (
         (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
         (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
     ):
-        _points(axis, place.values, name, factor, label)
+        _points(axis, position.values, name, factor, label)
     distance = axes[2]
-    assessments = place.assessments
+    assessments = position.assessments
     _line(distance, assessments, "distance_squared", linestyle="none", marker="o", color=BLUE, label="D²")
-    beyond = {
+    outliers = {
         name: [value for value, outlier in zip(values, assessments["outlier"], strict=True) if outlier]
         for name, values in assessments.items()
     }
     _line(
         distance,
-        beyond,
+        outliers,
         "distance_squared",
         gid="outliers",
         linestyle="none",
@@ -108,61 +108,61 @@ def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None
     distance.legend(**ABOVE)
 
 
-def _echo_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
-    _points(axes[0], place.values, "thickness_m", 1e3, "wall (mm)")
-    if place.limit is not None:
-        axes[0].axhline(1e3 * place.limit, color=VERMILLION, label="alarm below")
-    if place.thickness_interval_m is not None and place.last.last_thickness is not None:
-        low, high = (1e3 * end for end in place.thickness_interval_m)
-        hour = place.last.last_thickness.due_h
+def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+    _points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
+    if position.limit is not None:
+        axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
+    if position.thickness_interval_m is not None and position.last.last_thickness is not None:
+        low, high = (1e3 * end for end in position.thickness_interval_m)
+        hour = position.last.last_thickness.due_h
         axes[0].plot([hour, hour], [low, high], color=GREY, marker="_", label="95 % interval of the newest")
     axes[0].legend(**ABOVE)
 
 
 def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
-    """Each set a point; a cross where its quality is not good."""
+    """Draw each set as a point, or as a cross where its quality is not good."""
     scaled = {**columns, name: [None if value is None else factor * value for value in columns[name]]}
     for gid, good, style in (
         (name, True, {"marker": "o", "color": BLUE}),
         (f"{name}-poor", False, {"marker": "x", "color": VERMILLION, "label": "suspect or bad"}),
     ):
-        chosen = [(quality == "good") is good for quality in columns["quality"]]
-        part = {
-            key: [value for value, wanted in zip(values, chosen, strict=True) if wanted]
+        selection = [(quality == "good") is good for quality in columns["quality"]]
+        selected = {
+            key: [value for value, wanted in zip(values, selection, strict=True) if wanted]
             for key, values in scaled.items()
         }
-        if part[name]:
-            _line(axis, part, name, gid=gid, linestyle="none", **style)
+        if selected[name]:
+            _line(axis, selected, name, gid=gid, linestyle="none", **style)
     axis.set_ylabel(label)
     if axis.get_legend_handles_labels()[1]:
         axis.legend(**ABOVE)
 
 
 def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:
-    """Draw a column over the hours; what is not available is left out."""
-    there = [
+    """Draw a column over the hours, without missing values."""
+    points = [
         (h, value) for h, value in zip(columns["due_h"], columns[name], strict=True) if value is not None
     ]
-    axis.plot([hour for hour, _ in there], [value for _, value in there], gid=gid or name, **style)
+    axis.plot([hour for hour, _ in points], [value for _, value in points], gid=gid or name, **style)
 
 
-def _mark(contents: Contents, place: Place, axis: Axes) -> None:
-    """Shade gaps, and draw a line where an alarm was raised, and where an annotation begins and ends."""
+def _mark(contents: Contents, position: PositionReport, axis: Axes) -> None:
+    """Shade gaps, and draw lines at alarms and at the ends of annotations."""
     for gap in contents.gaps:
-        if gap.position == place.name:
+        if gap.position == position.name:
             axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
     for alarm in contents.alarms:
-        if alarm.position in (place.name, None) and contents.from_h <= alarm.raised_h < contents.to_h:
+        if alarm.position in (position.name, None) and contents.from_h <= alarm.raised_h < contents.to_h:
             axis.axvline(alarm.raised_h, color=VERMILLION, linewidth=0.9, linestyle=(0, (5, 2)))
     for note in contents.annotations:
-        if note.position in (place.name, None) and note.withdrawn_utc_ns is None:
+        if note.position in (position.name, None) and note.withdrawn_utc_ns is None:
             for hour in sorted({note.from_h, note.to_h}):
                 if contents.from_h <= hour < contents.to_h:
                     axis.axvline(hour, color=GREEN, linewidth=0.9, linestyle=":")
 
 
-def _within_a_page(svg: str, prefix: str) -> str:
-    """Give the element alone, its names unlike those of the other figures."""
+def _page_element(svg: str, prefix: str) -> str:
+    """Return only the SVG element, with ids that are unique in the page."""
     element = svg[svg.index("<svg") :]
     element = re.sub(r'\bid="', f'id="{prefix}-', element)
     element = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", element)

@@ -1,4 +1,4 @@
-"""A report from a data folder to its bytes; to be called in a process of its own where others wait."""
+"""Creation of a report from a data folder; slow, so a service calls it in a separate process."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def report_page(
     StorageError
         There is no test, or it cannot be read.
     """
-    # Brings matplotlib along, which nothing else of the service needs.
+    # Imports matplotlib, which nothing else of the service needs.
     from daq_service.web.report.figures import figure_of
     from daq_service.web.report.page import page
 
     contents = read_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
-    return page(contents, {place.name: figure_of(contents, place) for place in contents.places})
+    return page(contents, {position.name: figure_of(contents, position) for position in contents.positions})

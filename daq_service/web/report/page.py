@@ -1,4 +1,4 @@
-"""A report as one HTML page."""
+"""HTML page of a report."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
 from daq_service.settings.tree import Settings
-from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
+from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -47,27 +47,30 @@ Row = Sequence[str]
 
 
 def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
-    """Return the HTML; ``figures`` are SVG elements by position, empty where there is nothing to draw."""
+    """Return the HTML page; ``figures`` are SVG elements by position, empty without values."""
     title = f"Report of the test {contents.experiment.name}"
     sections = {
-        "what": ("What was tested", _what(contents)),
-        "now": ("How it stands", _now(contents)),
+        "what": ("What was tested", _identity_tables(contents)),
+        "now": ("How it stands", _state_table(contents)),
         "positions": (
             "Positions",
-            [_position(contents, place, figures[place.name]) for place in contents.places],
+            [
+                _position_article(contents, position, figures[position.name])
+                for position in contents.positions
+            ],
         ),
-        "gaps": ("Gaps", _gaps(contents)),
-        "alarms": ("Alarms", _alarms(contents)),
-        "annotations": ("Annotations", _annotations(contents)),
-        "orders": ("Orders", _orders(contents)),
-        **({} if contents.audit is None else {"audit": ("Audit", _audit(contents))}),
+        "gaps": ("Gaps", _gap_table(contents)),
+        "alarms": ("Alarms", _alarm_articles(contents)),
+        "annotations": ("Annotations", _annotation_table(contents)),
+        "orders": ("Orders", _command_table(contents)),
+        **({} if contents.audit is None else {"audit": ("Audit", _audit_table(contents))}),
         "configuration": ("Configuration", _configuration(contents)),
     }
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(_made(contents))}</p></header><nav>",
+        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(_made_note(contents))}</p></header><nav>",
         *(f"<a href='#{name}'>{escape(heading)}</a>" for name, (heading, _) in sections.items()),
         "</nav><main>",
     ]
@@ -77,18 +80,18 @@ def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
 
 
 def quantity(value: float | None, factor: float, digits: int, unit: str) -> str:
-    """Write a value in the unit that people read."""
+    """Return a value as text with its unit."""
     if value is None:
         return NOT_KNOWN
     return f"{value * factor:.{digits}f} {unit}".rstrip()
 
 
 def significant(value: float | None) -> str:
-    """Write a number with four figures."""
+    """Return a number as text with four significant digits."""
     return NOT_KNOWN if value is None else f"{value:.4g}"
 
 
-def _made(contents: Contents) -> str:
+def _made_note(contents: Contents) -> str:
     return (
         f"Hours {contents.from_h:.2f} to {min(contents.to_h, contents.now_h):.2f} of the test; made "
         f"{format_utc(contents.wall_utc_ns, 0)} at hour {contents.now_h:.2f} "
@@ -97,7 +100,7 @@ def _made(contents: Contents) -> str:
     )
 
 
-def _what(contents: Contents) -> list[str]:
+def _identity_tables(contents: Contents) -> list[str]:
     experiment, settings = contents.experiment, contents.settings
     rows = [
         ("Test", experiment.name),
@@ -110,19 +113,24 @@ def _what(contents: Contents) -> list[str]:
         ("Extractor", ", ".join(contents.extractors) or NOT_KNOWN),
         ("Files of sets", f"{contents.n_files} in the range"),
         ("Digest of their names and SHA-256", contents.files_sha256),
-        *_what_decides(settings),
+        *_alarm_rule_rows(settings),
     ]
-    places = [
-        (place.name, place.label, place.method.replace("_", " "), place.serial_number or NOT_KNOWN)
-        for place in contents.places
+    position_rows = [
+        (
+            position.name,
+            position.label,
+            position.method.replace("_", " "),
+            position.serial_number or NOT_KNOWN,
+        )
+        for position in contents.positions
     ]
     return [
         table("Identity", (), rows),
-        table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
+        table("Transducers", ("Position", "What it is", "Method", "Serial number"), position_rows),
     ]
 
 
-def _what_decides(settings: Settings) -> list[Row]:
+def _alarm_rule_rows(settings: Settings) -> list[Row]:
     outlier = f"{settings.novelty.limit}, {settings.novelty.false_alarm_rate:g} false alarms a set"
     of_sets = f"at {settings.alarms.k} of {settings.alarms.n} sets"
     if settings.alarms.decides_by != "chart":
@@ -138,35 +146,41 @@ def _what_decides(settings: Settings) -> list[Row]:
     ]
 
 
-def _now(contents: Contents) -> list[str]:
-    held = [] if contents.held is None else [f"<p><strong>On hold: {escape(contents.held)}.</strong></p>"]
+def _state_table(contents: Contents) -> list[str]:
+    pause_note = (
+        [] if contents.held is None else [f"<p><strong>On hold: {escape(contents.held)}.</strong></p>"]
+    )
     written = (
         "nothing is stored" if contents.wall_age_s is None else f"{contents.wall_age_s:.0f} s before this"
     )
     rows = []
-    for place in contents.places:
-        last = place.last
+    for position in contents.positions:
+        last = position.last
         assessment, measured = last.last_verdict, last.last_feature or last.last_thickness
         quality = NOT_KNOWN if measured is None else measured.quality
         if last.last_thickness is not None:
             value = quantity(last.last_thickness.thickness_m, 1e3, 3, "mm")
-            limit = quantity(place.limit, 1e3, 3, "mm")
+            limit = quantity(position.limit, 1e3, 3, "mm")
         else:
             value = f"D² {significant(assessment.distance_squared if assessment else None)}"
-            if place.state == NOT_ASSESSED and assessment is not None and assessment.reason:
+            if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
                 value = f"not judged: {assessment.reason}"
-            limit = significant(place.limit)
+            limit = significant(position.limit)
             if chart := deciding_chart(assessment, contents.settings):
                 value, limit = (
-                    f"{told}; chart {significant(its)}"
-                    for told, its in zip((value, limit), chart, strict=True)
+                    f"{text}; chart {significant(chart_value)}"
+                    for text, chart_value in zip((value, limit), chart, strict=True)
                 )
-        age = NOT_KNOWN if place.age_h is None else f"{place.age_h:.2f} h{', stale' if place.stale else ''}"
-        data_h = NOT_KNOWN if place.data_h is None else f"{place.data_h:.2f}"
+        age = (
+            NOT_KNOWN
+            if position.age_h is None
+            else f"{position.age_h:.2f} h{', stale' if position.stale else ''}"
+        )
+        data_h = NOT_KNOWN if position.data_h is None else f"{position.data_h:.2f}"
         rows.append(
             (
-                place.name,
-                place.state.replace("_", " "),
+                position.name,
+                position.state.replace("_", " "),
                 value,
                 limit,
                 quality,
@@ -176,64 +190,72 @@ def _now(contents: Contents) -> list[str]:
             )
         )
     head = ("Position", "State", "Newest value", "Limit", "Quality", "Of hour", "Age", "Alarms that stand")
-    return [*held, f"<p class='note'>Last written {written}.</p>", table("Newest values", head, rows)]
+    return [*pause_note, f"<p class='note'>Last written {written}.</p>", table("Newest values", head, rows)]
 
 
-def _position(contents: Contents, place: Place, figure: str) -> str:
-    states = ", ".join(f"{number} {state}" for state, number in place.states.items()) or "none"
+def _position_article(contents: Contents, position: PositionReport, figure: str) -> str:
+    states = ", ".join(f"{number} {state}" for state, number in position.states.items()) or "none"
     parts = [
-        f"<article><h3>Position {escape(place.name)}</h3>",
+        f"<article><h3>Position {escape(position.name)}</h3>",
         f"<p class='note'>Sets in the range: {states}.</p>",
     ]
     shaded = "Gaps are shaded, dashed lines are alarms, dotted ones annotations."
     if figure:
-        what = (
+        quantities = (
             "wall thickness"
-            if place.method == PULSE_ECHO
+            if position.method == PULSE_ECHO
             else "time of flight, amplitude ratio and squared distance"
         )
-        told = (
-            f"Position {place.name}: {what} over the hours of the test; the numbers are in the table below."
+        label = (
+            f"Position {position.name}: {quantities} over the hours of the test; "
+            "the numbers are in the table below."
         )
         parts.append(
-            f"<figure role='img' aria-label='{escape(told)}'>{figure}</figure><p class='note'>{shaded}</p>"
+            f"<figure role='img' aria-label='{escape(label)}'>{figure}</figure><p class='note'>{shaded}</p>"
         )
     else:
         parts.append("<p>There is no value in this range.</p>")
-    if place.method == PULSE_ECHO:
-        rows = [_series("Wall thickness", place.values, "thickness_m", 1e3, 4, "mm")]
-        rows += [_series("Lost thickness", place.values, "thickness_loss_m", 1e6, 2, "µm")]
-        interval = place.thickness_interval_m
-        told = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
+    if position.method == PULSE_ECHO:
+        rows = [_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")]
+        rows += [_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")]
+        interval = position.thickness_interval_m
+        label = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
         parts.append(table("Thickness", SERIES, rows))
-        parts.append(f"<p>95 % interval of the newest reading: {told}.</p>")
+        parts.append(f"<p>95 % interval of the newest reading: {label}.</p>")
     else:
-        assert place.assessments is not None, "these have them"
-        judged = [outlier for outlier in place.assessments["outlier"] if outlier is not None]
+        assert position.assessments is not None, "these have them"
+        assessed = [outlier for outlier in position.assessments["outlier"] if outlier is not None]
         rows = [
-            _series("Time of flight", place.values, "tof_pp_s", 1e6, 3, "µs"),
-            _series("Amplitude ratio", place.values, "amplitude_ratio", 1.0, 4, ""),
-            _series("Squared distance", place.assessments, "distance_squared", 1.0, 3, ""),
+            _series_row("Time of flight", position.values, "tof_pp_s", 1e6, 3, "µs"),
+            _series_row("Amplitude ratio", position.values, "amplitude_ratio", 1.0, 4, ""),
+            _series_row("Squared distance", position.assessments, "distance_squared", 1.0, 3, ""),
         ]
         parts.append(table("Features and distance", SERIES, rows))
-        parts.append(f"<p>{sum(judged)} outliers of {len(judged)} judged sets; "
-                     f"{sum(place.assessments['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
+        parts.append(f"<p>{sum(assessed)} outliers of {len(assessed)} judged sets; "
+                     f"{sum(position.assessments['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
     return "\n".join([*parts, "</article>"])
 
 
 SERIES = ("Quantity", "Sets", "First", "Last", "Least", "Greatest", "Mean", "Not of good quality")
 
 
-def _series(told: str, columns: Columns, name: str, factor: float, digits: int, unit: str) -> Row:
+def _series_row(
+    quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
+) -> Row:
     values = [value for value in columns[name] if value is not None]
     if not values:
-        return (told, "0", *[NOT_KNOWN] * 5, "")
+        return (quantity_name, "0", *[NOT_KNOWN] * 5, "")
     shown = (values[0], values[-1], min(values), max(values), math.fsum(values) / len(values))
-    poor = "" if "quality" not in columns else str(sum(one != "good" for one in columns["quality"]))
-    return (told, str(len(values)), *(quantity(value, factor, digits, unit) for value in shown), poor)
+    n_poor = "" if "quality" not in columns else str(sum(quality != "good" for quality in columns["quality"]))
+    return (
+        quantity_name,
+        str(len(values)),
+        *(quantity(value, factor, digits, unit) for value in shown),
+        n_poor,
+    )
 
 
-def _gaps(contents: Contents) -> list[str]:
+def _gap_table(contents: Contents) -> list[str]:
     rows = [
         (
             gap.position,
@@ -251,26 +273,31 @@ def _gaps(contents: Contents) -> list[str]:
     ]
 
 
-def _alarms(contents: Contents) -> list[str]:
+def _alarm_articles(contents: Contents) -> list[str]:
     if not contents.alarms:
         return ["<p>No alarm was raised or stood in this range.</p>"]
-    return [_alarm(contents, row) for row in contents.alarms]
+    return [_alarm_article(contents, row) for row in contents.alarms]
 
 
-def _alarm(contents: Contents, row: AlarmRow) -> str:
-    place = "The test as a whole" if row.position is None else f"Position {row.position}"
-    by = row.acknowledged_by or "nobody"
+def _alarm_article(contents: Contents, row: AlarmRow) -> str:
+    subject = "The test as a whole" if row.position is None else f"Position {row.position}"
+    acknowledged_by = row.acknowledged_by or "nobody"
     note = f", {row.note}" if row.note else ""
-    told = f"Raised at hour {row.raised_h:.2f}, now {row.state.replace('_', ' ')}; acknowledged by {by}{note}"
+    description = (
+        f"Raised at hour {row.raised_h:.2f}, now {row.state.replace('_', ' ')}; "
+        f"acknowledged by {acknowledged_by}{note}"
+    )
     if row.suppressed:
-        told += f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_because}"
-    history = [_event(contents, event) for event in contents.history.get(row.id or 0, ())]
-    proof = [(name, plain(value)) for name, value in row.proof.items()]
+        description += (
+            f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_because}"
+        )
+    history = [_history_row(contents, event) for event in contents.history.get(row.id or 0, ())]
+    proof = [(name, plain_text(value)) for name, value in row.proof.items()]
     return "\n".join(
         [
-            f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
+            f"<article><h3>{escape(subject)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
             f"<p>{escape(row.message)}</p>",
-            f"<p class='note'>{escape(told)}.</p>",
+            f"<p class='note'>{escape(description)}.</p>",
             "<ul>",
             *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row, contents.baselines)),
             "</ul>",
@@ -281,31 +308,31 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
     )
 
 
-def _event(contents: Contents, event: EventRow) -> Row:
-    told = transition(event)
-    states = ", ".join(filter(None, (told["state"], told["suppressed"])))
+def _history_row(contents: Contents, event: EventRow) -> Row:
+    change = transition(event)
+    states = ", ".join(filter(None, (change["state"], change["suppressed"])))
     return (
-        _hour(contents, event.utc_ns),
+        _hour_text(contents, event.utc_ns),
         event.kind.replace("_", " "),
         states.replace("_", " "),
-        told["who"] or "",
-        (told["why"] or "") if told["who"] else "",  # else the alarm's message, which stands above
+        change["who"] or "",
+        (change["why"] or "") if change["who"] else "",  # otherwise the message of the alarm, shown above
     )
 
 
-def _hour(contents: Contents, utc_ns: int) -> str:
+def _hour_text(contents: Contents, utc_ns: int) -> str:
     return f"{(utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H:.2f}"
 
 
-def _annotations(contents: Contents) -> list[str]:
+def _annotation_table(contents: Contents) -> list[str]:
     rows = [
         (
             f"{row.from_h:.2f}",
             f"{row.to_h:.2f}",
             row.position or "the whole test",
             row.text,
-            f"{row.author}, at hour {_hour(contents, row.written_utc_ns)}",
-            f"{row.withdrawn_by}, at hour {_hour(contents, row.withdrawn_utc_ns)}"
+            f"{row.author}, at hour {_hour_text(contents, row.written_utc_ns)}",
+            f"{row.withdrawn_by}, at hour {_hour_text(contents, row.withdrawn_utc_ns)}"
             if row.withdrawn_utc_ns is not None
             else "",
         )
@@ -316,13 +343,13 @@ def _annotations(contents: Contents) -> list[str]:
     return [table(caption, head, rows, "Nobody noted anything of this range.")]
 
 
-def _orders(contents: Contents) -> list[str]:
+def _command_table(contents: Contents) -> list[str]:
     rows = [
         (
             format_utc(row.wall_utc_ns, 0),
             row.author,
             row.kind.replace("_", " "),
-            plain(row.arguments),
+            plain_text(row.arguments),
             row.state,
             row.result or "",
         )
@@ -332,18 +359,18 @@ def _orders(contents: Contents) -> list[str]:
     return [table(f"The newest {MOST_LINES} at most", head, rows, "No order was given.")]
 
 
-def _audit(contents: Contents) -> list[str]:
+def _audit_table(contents: Contents) -> list[str]:
     rows = [
         (
             *(
-                format_utc(deed.utc_ns // NS_PER_S * NS_PER_S, 0),
-                deed.who or "nobody",
-                deed.role,
-                deed.source,
+                format_utc(entry.utc_ns // NS_PER_S * NS_PER_S, 0),
+                entry.who or "nobody",
+                entry.role,
+                entry.source,
             ),
-            *(deed.what.replace("_", " "), deed.result, deed.why),
+            *(entry.what.replace("_", " "), entry.result, entry.why),
         )
-        for deed in contents.audit or ()
+        for entry in contents.audit or ()
     ]
     head = ("When", "Who", "Role", "From", "What", "Result", "Why")
     return [table(f"The newest {MOST_LINES} at most, newest first", head, rows, "Nothing was asked for yet.")]
@@ -354,17 +381,17 @@ def _configuration(contents: Contents) -> list[str]:
     return ["<p class='note'>As the test was begun.</p>", f"<pre>{escape(text)}</pre>"]
 
 
-def plain(value: Any) -> str:
-    """Write any value of a row as text."""
+def plain_text(value: Any) -> str:
+    """Return any value of a row as text."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {plain(one)}" for name, one in value.items())
+        return ", ".join(f"{name} {plain_text(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(map(plain, value))
+        return ", ".join(map(plain_text, value))
     return significant(value) if isinstance(value, float) or value is None else str(value)
 
 
 def table(caption: str, head: Row, rows: Iterable[Row], empty: str = "") -> str:
-    """Rows whose first cell heads them; without a head it is a list of names and values."""
+    """Return an HTML table with row headings; without a head it is a list of names and values."""
     lines = [
         f"<tr><th scope='row'>{escape(first)}</th>"
         + "".join(f"<td>{escape(cell)}</td>" for cell in cells)

@@ -1,4 +1,4 @@
-"""What a person's role allows: asked before every operation of the API, and by the routes of orders."""
+"""Authorization by role, before every operation of the API and for each command."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from daq_service.web.auth.middleware import address_of, person_at
 from daq_service.web.auth.roles import OPERATIONS, Person, Role
 from daq_service.web.context import context_at
 
-OF_THE_DOORS = frozenset({"log_in", "log_out", "create_token", "revoke_token"})
-"""Audited beside the tokens; all else beside the test that it is about."""
+TOKEN_OPERATIONS = frozenset({"log_in", "log_out", "create_token", "revoke_token"})
+"""Audited in the folder of the tokens; all other operations in that of the test."""
 
 
-async def _person_at(connection: HTTPConnection) -> Person:
-    """As `person_at`: a plain function would cost each request a thread, and a place in their line."""
+async def _person_dependency(connection: HTTPConnection) -> Person:
+    """Return `person_at`; as a coroutine it needs no thread of the pool."""
     return person_at(connection)
 
 
-PersonOf = Annotated[Person, Depends(_person_at)]
+PersonOf = Annotated[Person, Depends(_person_dependency)]
 
 
 def operation_of(route: Any) -> str:
-    """Name of an operation, as the table of roles calls it."""
+    """Return the name of an operation in the table of roles."""
     return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
 
 
 async def admit(connection: HTTPConnection) -> None:
-    """Refuse an operation that the role does not allow; a dependency of every route of the API.
+    """Check that the role allows an operation; a dependency of every route of the API.
 
     Raises
     ------
     Problem
-        401: nobody has said who asks. 403: the role is too low.
+        401: not logged in. 403: the role is too low.
     """
     operation = operation_of(connection.scope["route"])
     needed = OPERATIONS.get(operation, "admin")
@@ -47,25 +47,27 @@ async def admit(connection: HTTPConnection) -> None:
         person = person_at(connection)
         if not person.may(needed):
             problem = role_too_low(person, operation, needed)
-            await asyncio.to_thread(told, connection, person, operation, "refused", problem.detail)
+            await asyncio.to_thread(
+                write_audit_entry, connection, person, operation, "refused", problem.detail
+            )
             raise problem
 
 
-def role_too_low(person: Person, what: str, needed: Role) -> Problem:
-    """Say which role is needed."""
+def role_too_low(person: Person, operation: str, needed: Role) -> Problem:
+    """Return the problem that a higher role is needed (403)."""
     return Problem(
         403,
         "role-too-low",
         "Your role does not allow this",
-        f"{what} needs the role {needed}; {person.name} is {person.role}.",
+        f"{operation} needs the role {needed}; {person.name} is {person.role}.",
         "Ask somebody with that role, or an administrator for another token.",
     )
 
 
-def told(
+def write_audit_entry(
     connection: HTTPConnection,
     person: Person,
-    what: str,
+    operation: str,
     result: Result,
     why: str = "",
     *,
@@ -73,14 +75,14 @@ def told(
     claimed: str = "",
     command_id: int | None = None,
 ) -> None:
-    """Write into the audit what a person asked for."""
+    """Write a request of a person and its result to the audit log."""
     context = context_at(connection)
-    audit = context.doors.audit if what in OF_THE_DOORS else context.audit
+    audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
     audit.tell(
         who=person.name or claimed,
         role=person.role,
         source=address_of(connection.scope),
-        what=what,
+        what=operation,
         arguments=dict(arguments or {}),
         result=result,
         why=why,

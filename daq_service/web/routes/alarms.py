@@ -1,4 +1,4 @@
-"""`/api/v1/alarms`: what was raised, its state and its proof."""
+"""`/api/v1/alarms`: alarms with state and evidence."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ add_listing(
 
 @router.get("/alarms/{alarm_id}", operation_id="get_alarm", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
-    """Tell one alarm with its proof."""
+    """Return one alarm with its evidence."""
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
@@ -51,7 +51,7 @@ def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: Cont
     responses=ERRORS,
 )
 def get_alarm_history(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
-    """Tell every transition of an alarm, the oldest first: when, what, by whom and why."""
+    """Return every transition of an alarm, the oldest first, with time, person and reason."""
     catalogue, fresh = context.catalogue(), context.freshness()
     row = catalogue.alarm(alarm_id)
     if row is None:

@@ -1,4 +1,4 @@
-"""`/api/v1/annotations`: what people noted of hours of the test; orders make and withdraw them."""
+"""`/api/v1/annotations`: annotations of hours of the test; commands create and withdraw them."""
 
 from __future__ import annotations
 

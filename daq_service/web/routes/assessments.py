@@ -1,4 +1,4 @@
-"""`/api/v1/assessments` and `/api/v1/baselines`: distance, limits, outliers, and against what."""
+"""`/api/v1/verdicts` and `/api/v1/baselines`: distances, limits, outliers, and their baselines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ router = APIRouter(tags=["verdicts"])
 
 
 def with_quality(context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]) -> list[dict[str, Any]]:
-    """Verdicts as they leave the service, with the quality of the feature or thickness that each judges."""
+    """Return assessments for an answer, each with the quality of its feature or thickness."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = assessed_qualities(context.catalogue(), methods, rows)
     return [fresh.row(row, quality=quality) for row, quality in zip(rows, qualities, strict=True)]
@@ -43,9 +43,14 @@ add_listing(
     responses=problems(404, 422, 503),
 )
 def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
-    """List each position's baselines, the newest last: life, statistics, limits, provenance."""
+    """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:
-        context.known(position)
+        context.checked_position(position)
     fresh = context.freshness()
-    told = published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
-    return JsonAnswer({"as_of": fresh.as_of(), "items": [fresh.row(row, **beside) for row, beside in told]})
+    baselines = published_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
+    return JsonAnswer(
+        {
+            "as_of": fresh.as_of(),
+            "items": [fresh.row(row, **extra_columns) for row, extra_columns in baselines],
+        }
+    )

@@ -1,4 +1,4 @@
-"""`/api/v1/audit`: who asked for what, from where, and what came of it."""
+"""`/api/v1/audit`: audit log of requests, with person, address and result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import CursorText, Limit, listing_name
 
 router = APIRouter(tags=["audit"])
-DEEDS = sorted({*OPERATIONS, *ORDERS, "enter"})
+AUDITED_OPERATIONS = sorted({*OPERATIONS, *ORDERS, "enter"})
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
 What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: hold,release")]
@@ -30,14 +30,14 @@ WithResult = Annotated[Result | None, Query(description="Only with this result")
 RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 
 
-def _written_out(text: str) -> str:
-    """Pydantic by itself takes a number for seconds since 1970, too."""
+def _rfc3339_text(text: str) -> str:
+    """Return a text in RFC 3339 form; pydantic also accepts a number as seconds since 1970."""
     if not RFC_3339.fullmatch(text):
         raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
     return text
 
 
-Moment = Annotated[AwareDatetime, BeforeValidator(_written_out)]
+Moment = Annotated[AwareDatetime, BeforeValidator(_rfc3339_text)]
 FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
 ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
@@ -53,41 +53,43 @@ def list_audit(
     cursor: CursorText = None,
     limit: Limit = 100,
 ) -> JsonAnswer:
-    """List orders, refusals, logins and changes of tokens, the newest first.
+    """List commands, refusals, logins and changes of tokens, the newest first.
 
-    One answer looks at a bounded part of the file: with filters it may hold few items, or none, and a
-    cursor for what was before.
+    One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
+    for earlier ones.
     """
     kinds = _kinds(what)
     first_ns, end_ns = _utc_ns(from_utc), _utc_ns(to_utc)
     _check_range(first_ns, end_ns)
 
-    def wanted(deed: AuditEntry) -> bool:
+    def is_selected(entry: AuditEntry) -> bool:
         return (
-            who in (None, deed.who)
-            and (kinds is None or deed.what in kinds)
-            and result in (None, deed.result)
-            and (first_ns is None or deed.utc_ns >= first_ns)
-            and (end_ns is None or deed.utc_ns < end_ns)
+            who in (None, entry.who)
+            and (kinds is None or entry.what in kinds)
+            and result in (None, entry.result)
+            and (first_ns is None or entry.utc_ns >= first_ns)
+            and (end_ns is None or entry.utc_ns < end_ns)
         )
 
-    name = listing_name("audit", who=who, what=what, result=result, first=first_ns, end=end_ns)
+    listing = listing_name("audit", who=who, what=what, result=result, first=first_ns, end=end_ns)
     try:
-        found, before = read_audit(
-            context.data_folder, limit=limit, end=cursors.decode(name, cursor), wanted=wanted
+        entries, previous_end = read_audit(
+            context.data_folder, limit=limit, end=cursors.decode(listing, cursor), wanted=is_selected
         )
     except OSError as error:
         raise StorageUnavailableError(f"{AUDIT_FILE} cannot be read: {error.strerror}") from error
-    items = [_item(context, number, deed) for number, deed in found]
-    following = None if before is None else cursors.encode(name, before)
-    return JsonAnswer({"next_cursor": following, "items": items})
+    items = [_item(context, number, entry) for number, entry in entries]
+    next_cursor = None if previous_end is None else cursors.encode(listing, previous_end)
+    return JsonAnswer({"next_cursor": next_cursor, "items": items})
 
 
 def _kinds(what: str | None) -> frozenset[str] | None:
     kinds = None if what is None else frozenset(what.split(","))
-    if kinds is not None and not kinds <= set(DEEDS):
-        unknown = ", ".join(sorted(kinds - set(DEEDS)))
-        raise invalid("No such deeds", f"what names {unknown[:200]!r}.", f"It takes {', '.join(DEEDS)}.")
+    if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
+        unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
+        raise invalid(
+            "No such deeds", f"what names {unknown[:200]!r}.", f"It takes {', '.join(AUDITED_OPERATIONS)}."
+        )
     return kinds
 
 
@@ -101,19 +103,23 @@ def _check_range(first_ns: int | None, end_ns: int | None) -> None:
 
 
 def _utc_ns(moment: datetime | None) -> int | None:
-    """Subtracted, not converted to UTC: in year 1 east of Greenwich it would be in none."""
+    """Return nanoseconds of UTC by subtraction: a conversion to UTC fails in year 1 east of Greenwich."""
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _item(context: Context, number: int, deed: AuditEntry) -> dict[str, Any]:
-    outcome = None if deed.command_id is None else _outcome(context, deed.command_id)
-    return with_utc({"id": number, **asdict(deed), "outcome": outcome}, 0)
+def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, Any]:
+    outcome = None if entry.command_id is None else _outcome(context, entry.command_id)
+    return with_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 
 
 def _outcome(context: Context, command_id: int) -> str | None:
-    """Tell what the recorder made of an order; None where the catalogue cannot say."""
+    """Return the result of a command; None where the catalogue is unavailable."""
     try:
-        found = command_state(context.catalogue_access.get(), command_id)
+        state_and_time = command_state(context.catalogue_access.get(), command_id)
     except SolimonError:
         return None
-    return None if found is None else f"{found[0].state}: {found[0].result or ''}".rstrip(": ")
+    return (
+        None
+        if state_and_time is None
+        else f"{state_and_time[0].state}: {state_and_time[0].result or ''}".rstrip(": ")
+    )

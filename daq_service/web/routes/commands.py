@@ -1,4 +1,4 @@
-"""`/api/v1/commands`: orders. The recorder carries them out; where nobody records, some are done here."""
+"""`/api/v1/commands`: commands, executed by the recorder; without a recorder, some are executed here."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from daq_service.web.answers.models import CommandRow, problems
 from daq_service.web.answers.problem import Problem, conflict, not_found
 from daq_service.web.auth.roles import ORDERS, Person
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.admission import PersonOf, role_too_low, told
+from daq_service.web.routes.admission import PersonOf, role_too_low, write_audit_entry
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["commands"])
@@ -49,15 +49,15 @@ class Acknowledgement(Strict):
     note: str = Field(default="", max_length=2000)
 
 
-Give = Callable[[Order], Response]
-"""Writes an order in the name of who gives it, or carries it out, and answers with its row."""
+ExecuteCommand = Callable[[Order], Response]
+"""Stores a command in the name of its author, or executes it, and returns the response with its row."""
 
 
-async def _give_of(context: ContextOf, request: Request, person: PersonOf) -> Give:
-    return partial(_audited, context, request, person)
+async def _execute_dependency(context: ContextOf, request: Request, person: PersonOf) -> ExecuteCommand:
+    return partial(_execute_audited, context, request, person)
 
 
-GiveOf = Annotated[Give, Depends(_give_of)]
+ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
 ACCEPTS: Any = {
     "status_code": 202,
     "response_model": CommandRow,
@@ -66,23 +66,22 @@ ACCEPTS: Any = {
 
 
 @router.post("/commands", operation_id="create_command", **ACCEPTS)
-def create_command(command: AnyOrder, give: GiveOf) -> Response:
-    """Write an order; the recorder carries it out within 60 s, or it expires (see its `state`).
+def create_command(command: AnyOrder, execute: ExecuteOf) -> Response:
+    """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
-    Where nobody records the test, an order that changes no more than what is stored (an acknowledgement) is
-    done when this answers; any other is refused (409).
-    With a token the author is the token's, whatever the body says.
+    Without a recorder, a command that only changes stored data (an acknowledgement) is executed before the
+    response; any other is refused (409). With a token, the author is that of the token.
     """
-    return give(command)
+    return execute(command)
 
 
 @router.post("/alarms/{alarm_id}/acknowledge", operation_id="acknowledge_alarm", **ACCEPTS)
 def acknowledge_alarm(
-    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, give: GiveOf
+    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, execute: ExecuteOf
 ) -> Response:
-    """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
+    """Acknowledge an alarm; the same as the command `acknowledge_alarm`."""
     arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
-    return give(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
+    return execute(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
 @router.get(
@@ -92,55 +91,60 @@ def acknowledge_alarm(
     responses=problems(404, 422, 503),
 )
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
-    """Tell what became of an order."""
+    """Return a command with its state and result."""
     return JsonAnswer(_row(context, command_id))
 
 
-def _audited(context: Context, request: Request, person: Person, order: Order) -> Response:
-    """Write an order in the name of who gives it, and into the audit what came of it."""
-    tell = partial(
-        told, request, person, order.kind, claimed=order.author, arguments=order.arguments.model_dump()
+def _execute_audited(context: Context, request: Request, person: Person, command: Order) -> Response:
+    """Store or execute a command in the name of its author, and audit the result."""
+    audit = partial(
+        write_audit_entry,
+        request,
+        person,
+        command.kind,
+        claimed=command.author,
+        arguments=command.arguments.model_dump(),
     )
     try:
-        if not person.may(ORDERS.get(order.kind, "admin")):
-            raise role_too_low(person, order.kind, ORDERS.get(order.kind, "admin"))
-        order = order.model_copy(update={"author": person.name or order.author})
-        command_id, result = _given(context, order)
+        if not person.may(ORDERS.get(command.kind, "admin")):
+            raise role_too_low(person, command.kind, ORDERS.get(command.kind, "admin"))
+        command = command.model_copy(update={"author": person.name or command.author})
+        command_id, result = _write_or_execute(context, command)
     except (Problem, StorageError) as refusal:
-        tell("refused", str(refusal))
+        audit("refused", str(refusal))
         raise
-    tell(result, command_id=command_id)
+    audit(result, command_id=command_id)
     return JsonAnswer(
         _row(context, command_id), status_code=202, headers={"Location": f"/api/v1/commands/{command_id}"}
     )
 
 
-def _given(context: Context, order: Order) -> tuple[int, Result]:
-    """Write an order that nothing forbids, or carry it out where nobody records; its id, and which."""
+def _write_or_execute(context: Context, command: Order) -> tuple[int, Result]:
+    """Store an allowed command, or execute it without a recorder; return its id and the result."""
     catalogue = context.catalogue()
     try:
-        if isinstance(order, DeskOrder) and is_owned(context.data_folder) is False:
-            with suppress(BusyError):  # a recorder has come meanwhile: it is given the order
-                return _carried_out(context, order), "done"
-        order.refuse_forbidden(_facts(context, catalogue))
+        if isinstance(command, DeskOrder) and is_owned(context.data_folder) is False:
+            with suppress(BusyError):  # a recorder has started meanwhile: it gets the command
+                return _execute_here(context, command), "done"
+        command.refuse_forbidden(_facts(context, catalogue))
     except OrderRefusedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
-    return catalogue.add_command(order.author, order.kind, order.arguments.model_dump()), "accepted"
+    return catalogue.add_command(command.author, command.kind, command.arguments.model_dump()), "accepted"
 
 
-def _carried_out(context: Context, order: DeskOrder) -> int:
+def _execute_here(context: Context, command: DeskOrder) -> int:
     def moment() -> Moment:
         now = context.freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
     facts = partial(_facts, context)
-    return carry_out_unattended(context.data_folder, order, facts=facts, moment=moment)
+    return carry_out_unattended(context.data_folder, command, facts=facts, moment=moment)
 
 
 def _facts(context: Context, catalogue: Catalogue) -> Facts:
     return Facts(
-        recorder=context.freshness().recorder.word,
+        recorder=context.freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
@@ -154,11 +158,11 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
 
 
 def _row(context: Context, command_id: int) -> dict[str, Any]:
-    found = command_state(context.catalogue(), command_id)
-    if found is None:
+    state_and_time = command_state(context.catalogue(), command_id)
+    if state_and_time is None:
         raise not_found(
             f"There is no command {command_id}.", "Ids come from the answer that accepted the command."
         )
-    row, seconds_left = found
+    row, seconds_left = state_and_time
     expires_in_s = seconds_left if row.state == "pending" else None
     return with_utc({**values(row), "expires_in_s": expires_in_s}, 0)

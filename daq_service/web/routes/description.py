@@ -1,4 +1,4 @@
-"""What OpenAPI says beside the routes: tokens and roles, what names mean, units, examples."""
+"""OpenAPI additions: tokens and roles, descriptions of names, units, examples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
-from daq_service.web.answers.vocabulary import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, RATIOS, TAGS, WORDS
+from daq_service.web.answers.vocabulary import EXAMPLES, MEANINGS, OTHER_UNITS, OWN_UNIT, PURE, RATIOS, TAGS
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from hardware_drivers.units import unit_of
 
@@ -26,9 +26,9 @@ SCHEMES = {
 
 
 def describe_roles(document: dict[str, Any]) -> None:
-    """Write schemes, roles and refusals into a description; the table of roles says which.
+    """Add security schemes, roles and refusals to an OpenAPI document.
 
-    A service on loopback asks nobody before the first token was made: the empty alternative.
+    The empty alternative: a service on loopback requires no token before the first one is created.
     """
     document["components"]["securitySchemes"] = SCHEMES
     for item in document["paths"].values():
@@ -48,54 +48,56 @@ def describe_roles(document: dict[str, Any]) -> None:
 
 @cache
 def examples() -> dict[str, Any]:
-    """Answers of a real service by operation (`python tests/contract/test_openapi.py` asks for them)."""
-    found: dict[str, Any] = json.loads(read_shared(Path(__file__).parents[1] / "answers" / "examples.json"))
-    return found
+    """Return example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
+    example_answers: dict[str, Any] = json.loads(
+        read_shared(Path(__file__).parents[1] / "answers" / "examples.json")
+    )
+    return example_answers
 
 
-def describe_words(document: dict[str, Any]) -> None:
-    """Say what each name means that does not say so itself, each number's unit, and give examples."""
+def describe_names(document: dict[str, Any]) -> None:
+    """Add descriptions of names, units of numbers, and examples to an OpenAPI document."""
     operations = [operation for item in document["paths"].values() for operation in item.values()]
     used = {tag for operation in operations for tag in operation.get("tags", ())}
-    document["tags"] = [{"name": name, "description": told} for name, told in TAGS.items() if name in used]
-    for schema, described in document["components"]["schemas"].items():
-        for name, part in described.get("properties", {}).items():
-            _describe(part, found(WORDS, schema, name))
+    document["tags"] = [{"name": name, "description": text} for name, text in TAGS.items() if name in used]
+    for schema, documented in document["components"]["schemas"].items():
+        for name, part in documented.get("properties", {}).items():
+            _describe(part, look_up(MEANINGS, schema, name))
             _mark_unit(part, name, part)
     for operation in operations:
         for parameter in operation.get("parameters", ()):
             name = parameter["name"]
-            example = found(EXAMPLES, operation["operationId"], name)
-            _describe(parameter, found(WORDS, operation["operationId"], name))
+            example = look_up(EXAMPLES, operation["operationId"], name)
+            _describe(parameter, look_up(MEANINGS, operation["operationId"], name))
             _mark_unit(parameter, name, parameter["schema"])
             if parameter["required"] and example is not None:
                 parameter["example"] = example
         _give_example(operation)
 
 
-def found(words: Mapping[str, Any], place: str, name: str) -> Any:
-    """Look a name up: what it means at this place, else everywhere; None where nobody has said."""
-    return words.get(f"{place}.{name}", words.get(name))
+def look_up(texts: Mapping[str, Any], scope: str, name: str) -> Any:
+    """Return the text of a name in a scope, or else in general; None where there is none."""
+    return texts.get(f"{scope}.{name}", texts.get(name))
 
 
-def _describe(described: dict[str, Any], told: str | None) -> None:
-    if told is not None:
-        described.setdefault("description", told)
+def _describe(documented: dict[str, Any], text: str | None) -> None:
+    if text is not None:
+        documented.setdefault("description", text)
 
 
-def _mark_unit(marked: dict[str, Any], name: str, schema: dict[str, Any]) -> None:
-    """Write a number's unit as UDUNITS has it; `1`: it has none, `own`: it stands beside the number."""
+def _mark_unit(documented: dict[str, Any], name: str, schema: dict[str, Any]) -> None:
+    """Add the unit of a number as UDUNITS symbol; `1`: no unit, `own`: stated with the number."""
     if not holds_numbers(schema):
         return
     unit = unit_of(name) or OTHER_UNITS.get(name, "own" if name in OWN_UNIT else "")
     if not unit and (name in PURE or name.endswith(RATIOS) or not holds_numbers(schema, {"number"})):
         unit = "1"
     if unit:
-        marked["x-unit"] = unit
+        documented["x-unit"] = unit
 
 
 def holds_numbers(schema: Any, kinds: Collection[str] = ("number", "integer")) -> bool:
-    """Tell that a value of this schema is a number of these kinds, or has such in lists or by name."""
+    """Return whether values of a schema are numbers of these kinds, or contain them."""
     if not isinstance(schema, dict):
         return False
     parts = [*schema.get("anyOf", ()), schema.get("items"), schema.get("additionalProperties")]

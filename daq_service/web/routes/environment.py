@@ -1,4 +1,4 @@
-"""`/api/v1/environment`: what supply and climate probe said around the sets."""
+"""`/api/v1/environment`: supply and climate around the sets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.corrosion_drive.supply_state import look_at_drive
+from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import EnvironmentNow, EnvironmentPage, problems
 from daq_service.web.context import ContextOf
@@ -31,9 +31,9 @@ add_listing(
     responses=problems(503),
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
-    """Tell the newest row, and how the supply stands now; null where there is none."""
+    """Return the newest row, and the present status of the supply; null where there is none."""
     fresh = context.freshness()
-    row, drive = context.catalogue().last_environment(), look_at_drive(context.data_folder)
+    row, drive = context.catalogue().last_environment(), read_supply_status(context.data_folder)
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),

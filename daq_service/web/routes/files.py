@@ -1,4 +1,4 @@
-"""`/api/v1/files`: finished files of sets as they lie on the disk, whole or a range of their bytes."""
+"""`/api/v1/files`: finished files of sets, complete or a range of their bytes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def get_file(
     context: ContextOf,
     name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
 ) -> Response:
-    """Send the file of a set; it never changes, so a range of it can be asked for at any time."""
+    """Send the file of a set; it never changes, so ranges of it can be requested at any time."""
     row = _row_of(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
     # A link may lead out of the data folder: it is not followed.
@@ -48,22 +48,22 @@ def get_file(
             "/api/v1/sets names the files; the newest sets get theirs a moment later.",
         )
     size = path.stat()
-    # Compressed on the way, a range would be one of other bytes; in the file they are compressed already.
+    # With compression, a range would refer to other bytes; the data in the file are already compressed.
     headers = {"Content-Encoding": "identity"}
     if row.file_sha256 is not None:
-        of_content, known = unchanged(request, f'"{row.file_sha256}"')
-        if known is not None:
-            return known
-        headers |= of_content
+        cache_headers, not_modified = unchanged(request, f'"{row.file_sha256}"')
+        if not_modified is not None:
+            return not_modified
+        headers |= cache_headers
     response = FileResponse(path, headers=headers, media_type=HDF5, filename=name, stat_result=size)
-    asked, only_if = request.headers.get("range"), request.headers.get("if-range")
-    if asked is not None and only_if in (None, response.headers["etag"]):
-        _check_range(asked, size.st_size)
+    byte_range, only_if = request.headers.get("range"), request.headers.get("if-range")
+    if byte_range is not None and only_if in (None, response.headers["etag"]):
+        _check_range(byte_range, size.st_size)
     return response
 
 
 def _row_of(context: Context, name: str) -> SetRow | None:
-    """Row of the set that has this file; the name on the disk is the catalogue's, never the request's."""
+    """Return the set of a file; the path comes from the catalogue, never from the request."""
     match = NAME.fullmatch(name)
     if match is None:
         return None
@@ -76,15 +76,15 @@ def _row_of(context: Context, name: str) -> SetRow | None:
     return next((row for row in rows if row.file is not None and row.file.rpartition("/")[2] == name), None)
 
 
-def _check_range(asked: str, n_bytes: int) -> None:
-    match = RANGE.fullmatch(asked.replace(" ", ""))
+def _check_range(byte_range: str, n_bytes: int) -> None:
+    match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
-    is_good = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
-    if not is_good:
+    is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
+    if not is_valid:
         raise Problem(
             416,
             "range-not-satisfiable",
             "There is no such range",
-            f"Range is {asked[:60]!r}; the file has {n_bytes} bytes.",
+            f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.",
             "Ask for one range, such as bytes=0-1023 or bytes=-1024, or for the whole file.",
         )

@@ -30,11 +30,11 @@ def get_fit(
     from_h: FromHour = None,
     to_h: ToHour = None,
 ) -> JsonAnswer:
-    """Fit the sets in the range; sets without a value (null) are left out."""
+    """Fit the sets in the range; sets without a value (null) are excluded."""
     from analysis.errors import NotEnoughPointsError
     from analysis.statistics.trend import trend_of_part
 
-    method = context.settings.positions[context.known(position)].method
+    method = context.settings.positions[context.checked_position(position)].method
     (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
     fresh = context.freshness()
     part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))

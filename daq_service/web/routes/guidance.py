@@ -1,4 +1,4 @@
-"""`/api/v1/guidance`: what to do about each kind of alarm."""
+"""`/api/v1/guidance`: guidance for each kind of alarm."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ router = APIRouter(tags=["alarms"])
 
 @router.get("/guidance", operation_id="list_guidance", response_model=GuidanceList)
 def list_guidance() -> JsonAnswer:
-    """Tell of each kind of alarm what it says, what it does not, where to look and whom to call."""
-    return JsonAnswer({"items": [{"kind": kind, **asdict(one)} for kind, one in GUIDANCE.items()]})
+    """List for each kind of alarm its meaning, limitations, checks and contact."""
+    return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})

@@ -17,20 +17,20 @@ router = APIRouter(tags=["health"])
 
 @probes.get("/healthz", operation_id="get_liveness", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
-    """Say that the web process answers; says nothing of the recorder."""
+    """Return that the web process responds, independent of the recorder."""
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
 @probes.get("/readyz", operation_id="get_readiness", response_model=Liveness, responses=problems(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
-    """Say whether there is something to show."""
+    """Return 200 where data are stored, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 
 
 @router.get("/health", operation_id="get_health", response_model=ServiceHealth, responses=problems(503))
 def get_health(context: ContextOf) -> JsonAnswer:
-    """Tell the recorder's sign of life, how much is stored, who is connected, free disk."""
+    """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
     fresh = context.freshness()
     beat = fresh.recorder.beat
     disk = outlook(context.data_folder, context.settings, context.catalogue())
@@ -38,7 +38,7 @@ def get_health(context: ContextOf) -> JsonAnswer:
         {
             "as_of": fresh.as_of(),
             "recorder": {
-                "state": fresh.recorder.word,
+                "state": fresh.recorder.status,
                 "description": fresh.recorder.description,
                 "doing": None if beat is None else beat.doing,
                 "beat_age_s": fresh.recorder.beat_age_s,

@@ -1,4 +1,4 @@
-"""`/api/v1/info`: which experiment this is, on which rig and clock, and what is planned."""
+"""`/api/v1/info`: identity, rig, clock and schedule of the test."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RIG_LABELS = {
 
 @router.get("/info", operation_id="get_info", response_model=Info, responses=problems(503))
 def get_info(context: ContextOf) -> JsonAnswer:
-    """Tell name, rig, clock, plan, limits and positions."""
+    """Return name, rig, clock, schedule, limits and positions of the test."""
     settings = context.settings
     fresh = context.freshness()
     catalogue = context.catalogue()
@@ -50,7 +50,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "epoch_utc": rfc3339(fresh.epoch_utc_ns),
                 "pace_h_per_s": settings.clock.pace_h_per_s,
                 "system_ahead_s": fresh.system_ahead_s,
-                "can_finish_now": settings.clock.is_paced and fresh.recorder.word == "running",
+                "can_finish_now": settings.clock.is_paced and fresh.recorder.status == "running",
             },
             "schedule": {
                 "n_sets": len(hours),
@@ -78,7 +78,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 for name, place in settings.positions.items()
             ],
             "held": catalogue.held(),
-            "asked": _asked(catalogue, fresh),
+            "asked": _current_request(catalogue, fresh),
             "dry_run": None if started is None else started.payload.get("dry_run"),
             "last_event_id": fresh.last_event_id,
             "as_of": fresh.as_of(),
@@ -99,10 +99,10 @@ def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:
     return None if drive is None else {name: getattr(drive, name) for name in SupplyInfo.model_fields}
 
 
-def _asked(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
-    """Tell what a person is asked to do now, while a recorder waits for it."""
-    told = catalogue.last_service_event("asked", "asked_over")
-    if told is None or told.kind != "asked" or fresh.recorder.word != "running":
+def _current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
+    """Return the present request to a person, while a recorder waits for it."""
+    event = catalogue.last_service_event("asked", "asked_over")
+    if event is None or event.kind != "asked" or fresh.recorder.status != "running":
         return None
-    left_s = told.payload["within_s"] - (fresh.now_utc_ns - told.utc_ns) / NS_PER_S
-    return {**told.payload, "left_s": left_s} if left_s > 0.0 else None
+    remaining_s = event.payload["within_s"] - (fresh.now_utc_ns - event.utc_ns) / NS_PER_S
+    return {**event.payload, "left_s": remaining_s} if remaining_s > 0.0 else None

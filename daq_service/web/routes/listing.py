@@ -1,4 +1,4 @@
-"""What the listings share: bounded pages with opaque cursors, half-open ranges of hours."""
+"""Shared parts of listings: limited pages with opaque cursors, half-open ranges of hours."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ PURPOSE = {"purpose": (PurposeFilter, "planned")}
 
 
 def last_hour(from_h: float | None, to_h: float | None) -> float | None:
-    """Greatest hour inside the half-open range, as the catalogue wants it.
+    """Return the last hour inside a half-open range, for the catalogue.
 
     Raises
     ------
     Problem
-        422: the range ends before it begins.
+        422: the range ends before its start.
     """
     if to_h is None:
         return None
@@ -68,37 +68,39 @@ def add_listing(
     resource: str,
     kind: type[Row],
     page: type[Page],
-    told: str,
+    description: str,
     filters: Mapping[str, tuple[Any, Any]],
-    answers: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
+    render_rows: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
 ) -> None:
-    """Serve a table at ``/{resource}``: bounded pages in the order of `Catalogue.rows`.
+    """Add a route ``/{resource}`` that lists a table in limited pages in the order of `Catalogue.rows`.
 
     Parameters
     ----------
     kind, page
-        Its rows, and the shape of the answer.
-    told
-        What the listing is for, as the description of the interface says it.
+        Rows of the table, and model of the answer.
+    description
+        Description of the listing in OpenAPI.
     filters
-        Query parameters beside ``cursor`` and ``limit``, by the names of `Filters` but for the hours
+        Query parameters in addition to ``cursor`` and ``limit``, by the names of `Filters` but for the hours
         ``from_h`` and ``to_h``: type and default of each.
-    answers
-        How rows leave the service; None: with their age.
+    render_rows
+        Converts rows to JSON; None: the row with its age.
     """
 
-    def listing(context: Context, cursor: str | None, limit: int, **given: Any) -> JsonAnswer:
-        if given.get("position") is not None:
-            context.known(given["position"])
-        last_hour(given.get("from_h"), given.get("to_h"))
-        name = listing_name(resource, **given)
-        given["after_id"] = cursors.decode(name, cursor)
+    def listing(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
+        if query.get("position") is not None:
+            context.checked_position(query["position"])
+        last_hour(query.get("from_h"), query.get("to_h"))
+        name = listing_name(resource, **query)
+        query["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        rows = catalogue.rows(kind, limit=limit + 1, **_filters(given))
-        of_page = rows[:limit]
-        shown = answers(context, fresh, of_page) if answers else [fresh.row(row) for row in of_page]
-        following = cursors.encode(name, shown[-1]["id"]) if len(rows) > limit else None
-        return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": following, "items": shown})
+        rows = catalogue.rows(kind, limit=limit + 1, **_filters(query))
+        page_rows = rows[:limit]
+        items = (
+            render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
+        )
+        next_cursor = cursors.encode(name, items[-1]["id"]) if len(rows) > limit else None
+        return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
     parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
     # FastAPI reads from the signature which parameters there are.
@@ -111,7 +113,7 @@ def add_listing(
             ),
         ]
     )
-    listing.__doc__ = told
+    listing.__doc__ = description
     router.get(
         f"/{resource}",
         operation_id=f"list_{resource}",
@@ -121,15 +123,15 @@ def add_listing(
     )(listing)
 
 
-def _filters(given: Mapping[str, Any]) -> Filters:
-    """Translate for the catalogue."""
-    from_h, to_h = given.get("from_h"), given.get("to_h")
-    chosen: dict[str, Any] = {name: given[name] for name in given if name not in HOURS}
+def _filters(query: Mapping[str, Any]) -> Filters:
+    """Return query parameters as filters of the catalogue."""
+    from_h, to_h = query.get("from_h"), query.get("to_h")
+    chosen: dict[str, Any] = {name: query[name] for name in query if name not in HOURS}
     return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
 
 
 def listing_name(resource: str, **filters: object) -> str:
-    """Name of a listing with its filters, to which its cursors are tied."""
+    """Return the name of a listing with its filters, for its cursors."""
     return resource + "".join(
         f"&{key}={value}" for key, value in sorted(filters.items()) if value is not None
     )

@@ -1,4 +1,4 @@
-"""`/metrics` in OpenMetrics, for Prometheus and Grafana: the present only, nothing reads history."""
+"""`/metrics` in OpenMetrics for Prometheus and Grafana: present values only."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from daq_service.assessment.position_status import (
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
-from daq_service.processes.recorder_state import Word, look_at_recorder
+from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -33,7 +33,7 @@ probes = APIRouter(tags=["health"])
 S_PER_H = 3600.0
 
 Sample = tuple[tuple[str, ...], float | None]
-"""Values of the labels, and the number; None is left out."""
+"""Values of the labels, and the number; None is omitted."""
 OPENMETRICS: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
     **problems(503),
@@ -47,14 +47,14 @@ OPENMETRICS: dict[int | str, dict[str, Any]] = {
     responses=OPENMETRICS,
 )
 def get_metrics(request: Request, context: ContextOf) -> Response:
-    """Tell state, age and last values of every position, alarms, recorder, disk and this service."""
+    """Return state, age and newest values of positions, and metrics of alarms, recorder, disk and service."""
     return exposition(chain(of_service(), of_clients(context), of_test(context)), request)
 
 
 def exposition(metrics: Iterable[Metric], request: Request) -> Response:
-    """Write metrics as Prometheus wants them, and behind them how long this service's answers take."""
+    """Return metrics in the format of Prometheus, followed by the response times of this service."""
     registry = CollectorRegistry()
-    registry.register(_Present(metrics))
+    registry.register(_FixedMetrics(metrics))
     present, times = (
         bytes(generate_latest(part))  # type: ignore[no-untyped-call] # the package does not annotate it
         for part in (registry, request.app.state.answer_times.registry)
@@ -62,8 +62,8 @@ def exposition(metrics: Iterable[Metric], request: Request) -> Response:
     return Response(present.removesuffix(b"# EOF\n") + times, media_type=CONTENT_TYPE_LATEST)
 
 
-class _Present(Collector):
-    """What was read for one answer."""
+class _FixedMetrics(Collector):
+    """Metrics that were read for one response."""
 
     def __init__(self, metrics: Iterable[Metric]) -> None:
         self._metrics = list(metrics)
@@ -73,44 +73,44 @@ class _Present(Collector):
 
 
 def of_service() -> Iterator[Metric]:
-    """Tell what serves."""
+    """Yield the version of the service."""
     yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
 
 
 def of_clients(context: Context) -> Iterator[Metric]:
-    """Count who follows a test."""
+    """Yield the numbers of open streams of a test."""
     yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
     yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
 
 
 def of_test(context: Context) -> Iterator[Metric]:
-    """Tell a test at this moment; of one without data, whether somebody records."""
+    """Yield the present metrics of a test; without data, only the status of its recorder."""
     yield from _of_notifications(context)
     has_data = context.has_data()
     yield _gauge("has_data", "1: something is stored", [((), has_data)])
     if has_data:
         yield from _of_data(context, context.freshness())
     else:
-        yield _recorder(look_at_recorder(context.data_folder, []).word)
+        yield _recorder(read_recorder_state(context.data_folder, []).status)
 
 
 def _of_notifications(context: Context) -> Iterator[Metric]:
-    lines = context.notifications.lines.values()
+    queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
-    for line in lines:
-        sent.add_metric((line.name,), line.state.sent)
-        failed.add_metric((line.name,), line.state.failed)
+    for queue in queues:
+        sent.add_metric((queue.name,), queue.state.sent)
+        failed.add_metric((queue.name,), queue.state.failed)
     yield sent
     yield failed
-    waiting = [((line.name,), line.state.waiting) for line in lines]
+    waiting = [((queue.name,), queue.state.waiting) for queue in queues]
     yield _gauge("notifications_waiting", "Changes of alarms not told yet", waiting, ("receiver",))
 
 
 def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     catalogue = context.catalogue()
     beat_age_s = fresh.recorder.beat_age_s
-    yield _recorder(fresh.recorder.word)
+    yield _recorder(fresh.recorder.status)
     yield _gauge(
         "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", [((), beat_age_s)]
     )
@@ -131,39 +131,45 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _gauge("disk_needed_bytes", "What the rest of the test takes", [((), disk.needed_bytes)])
     yield _states("disk_level", "How full the volume is", [((), disk.level)], LEVELS, ())
     yield _alarms(map(fresh.standing, catalogue.rows(AlarmRow, active=True)))
-    found = catalogue.positions_state()
-    words = {
-        name: fresh.standing_word(found.get(name, LatestRows(position=name, method=place.method)))
+    states = catalogue.positions_state()
+    summaries = {
+        name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
-    yield from _of_positions(context, fresh, words)
+    yield from _of_positions(context, fresh, summaries)
 
 
-def _of_positions(context: Context, fresh: Freshness, words: dict[str, LatestRows]) -> Iterator[Metric]:
+def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, LatestRows]) -> Iterator[Metric]:
     of_position = ("position",)
     ages_h = {
-        name: None if (hour := data_hour(word)) is None else fresh.age_h(hour) for name, word in words.items()
+        name: None if (hour := data_hour(summary)) is None else fresh.age_h(hour)
+        for name, summary in summaries.items()
     }
 
-    def each(name: str, told: str, value: Any) -> Metric:
-        return _gauge(name, told, [((place,), value(word)) for place, word in words.items()], of_position)
+    def position_gauge(name: str, description: str, value: Any) -> Metric:
+        return _gauge(
+            name,
+            description,
+            [((place,), value(summary)) for place, summary in summaries.items()],
+            of_position,
+        )
 
-    def of(row: str, column: str) -> Any:
-        return lambda word: getattr(getattr(word, row), column, None)
+    def value_of(row: str, column: str) -> Any:
+        return lambda summary: getattr(getattr(summary, row), column, None)
 
-    def limit_beside(row: str) -> Any:
-        return lambda word: None if getattr(word, row) is None else limit_of(word, context.settings)
+    def limit_of_row(row: str) -> Any:
+        return lambda summary: None if getattr(summary, row) is None else limit_of(summary, context.settings)
 
     schedule = context.settings.schedule
     yield _states(
         *("position_state", "How a position stands"),
-        [((name,), status_of(word)) for name, word in words.items()],
+        [((name,), status_of(summary)) for name, summary in summaries.items()],
         get_args(PositionStatus),
         of_position,
     )
     yield _states(
         *("quality", "Quality of the newest values"),
-        [((name,), _quality(word)) for name, word in words.items()],
+        [((name,), _quality(summary)) for name, summary in summaries.items()],
         get_args(Quality),
         of_position,
     )
@@ -171,26 +177,38 @@ def _of_positions(context: Context, fresh: Freshness, words: dict[str, LatestRow
     yield _gauge("stale", "1: older than the schedule explains", stale, of_position)
     ages = [((name,), None if age_h is None else S_PER_H * age_h) for name, age_h in ages_h.items()]
     yield _gauge("data_age_seconds", "Age of the newest measured set on the test's clock", ages, of_position)
-    yield each("outlier", "1: the newest judged set is an outlier", of("last_verdict", "outlier"))
-    yield each("distance_squared", "Mahalanobis squared distance", of("last_verdict", "distance_squared"))
-    yield each("distance_squared_limit", "The limit of an outlier", limit_beside("last_verdict"))
-    yield each("time_of_flight_seconds", "Peak to peak", of("last_feature", "tof_pp_s"))
-    yield each("amplitude_ratio", "PSW over ISW", of("last_feature", "amplitude_ratio"))
-    yield each("thickness_meters", "Wall by pulse echo", of("last_thickness", "thickness_m"))
-    yield each("thickness_limit_meters", "Below it the probe alarms", limit_beside("last_thickness"))
-    yield each("thickness_loss_meters", "Since the test began", of("last_thickness", "thickness_loss_m"))
-    yield each("last_set_shots", "Shots of the newest set", of("last_set", "n_taken"))
-    yield each("last_set_missed_shots", "Strikes without a record", of("last_set", "n_missed"))
-    yield each("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)
+    yield position_gauge(
+        "outlier", "1: the newest judged set is an outlier", value_of("last_verdict", "outlier")
+    )
+    yield position_gauge(
+        "distance_squared", "Mahalanobis squared distance", value_of("last_verdict", "distance_squared")
+    )
+    yield position_gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_verdict"))
+    yield position_gauge("time_of_flight_seconds", "Peak to peak", value_of("last_feature", "tof_pp_s"))
+    yield position_gauge("amplitude_ratio", "PSW over ISW", value_of("last_feature", "amplitude_ratio"))
+    yield position_gauge("thickness_meters", "Wall by pulse echo", value_of("last_thickness", "thickness_m"))
+    yield position_gauge(
+        "thickness_limit_meters", "Below it the probe alarms", limit_of_row("last_thickness")
+    )
+    yield position_gauge(
+        "thickness_loss_meters", "Since the test began", value_of("last_thickness", "thickness_loss_m")
+    )
+    yield position_gauge("last_set_shots", "Shots of the newest set", value_of("last_set", "n_taken"))
+    yield position_gauge(
+        "last_set_missed_shots", "Strikes without a record", value_of("last_set", "n_missed")
+    )
+    yield position_gauge(
+        "last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s
+    )
 
 
-def _quality(word: LatestRows) -> str | None:
-    measured = word.last_feature or word.last_thickness
+def _quality(summary: LatestRows) -> str | None:
+    measured = summary.last_feature or summary.last_thickness
     return None if measured is None else measured.quality
 
 
-def _delay_s(word: LatestRows) -> float | None:
-    row = word.last_set
+def _delay_s(summary: LatestRows) -> float | None:
+    row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None
     return (row.started_utc_ns - row.due_utc_ns) / NS_PER_S
@@ -209,16 +227,16 @@ def _alarms(active: Iterable[AlarmRow]) -> Metric:
     )
 
 
-def _recorder(word: str) -> Metric:
-    return _states("recorder_state", "How the recorder is", [((), word)], get_args(Word), ())
+def _recorder(status: str) -> Metric:
+    return _states("recorder_state", "How the recorder is", [((), status)], get_args(RecorderStatus), ())
 
 
-def _counter(name: str, told: str, number: int) -> Metric:
-    return CounterMetricFamily(f"solimon_{name}", told, value=number)
+def _counter(name: str, description: str, number: int) -> Metric:
+    return CounterMetricFamily(f"solimon_{name}", description, value=number)
 
 
-def _gauge(name: str, told: str, samples: Iterable[Sample], labels: tuple[str, ...] = ()) -> Metric:
-    family = GaugeMetricFamily(f"solimon_{name}", told, labels=labels)
+def _gauge(name: str, description: str, samples: Iterable[Sample], labels: tuple[str, ...] = ()) -> Metric:
+    family = GaugeMetricFamily(f"solimon_{name}", description, labels=labels)
     for of_labels, number in samples:
         if number is not None:
             family.add_metric(of_labels, float(number))
@@ -227,13 +245,16 @@ def _gauge(name: str, told: str, samples: Iterable[Sample], labels: tuple[str, .
 
 def _states(
     name: str,
-    told: str,
+    description: str,
     samples: Iterable[tuple[tuple[str, ...], str | None]],
     known: Iterable[str],
     labels: tuple[str, ...],
 ) -> Metric:
-    """One sample a state, 1 where it holds."""
-    every = [
-        ((*of_labels, state), float(state == word)) for of_labels, word in samples for state in known if word
+    """Return one sample per state, 1 for the present one."""
+    all_samples = [
+        ((*of_labels, state), float(state == status))
+        for of_labels, status in samples
+        for state in known
+        if status
     ]
-    return _gauge(name, told, every, (*labels, "state"))
+    return _gauge(name, description, all_samples, (*labels, "state"))

@@ -1,4 +1,4 @@
-"""`/api/v1/notifications`: who is told of alarms elsewhere, what became of it, and a trial."""
+"""`/api/v1/notifications`: receivers, delivery log, and test messages."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fastapi import APIRouter, Path, Request
 from daq_service.errors import BusyError, StorageUnavailableError
 from daq_service.processes.notifications.addresses import shown_address
 from daq_service.processes.notifications.delivery_log import LOG_FILE
-from daq_service.processes.notifications.receiver import ReceiverLine, State, is_dead
+from daq_service.processes.notifications.receiver import ReceiverQueue, State, is_dead
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import DeliveryPage, NotificationsState, TrialResult, problems
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.admission import PersonOf, told
+from daq_service.web.routes.admission import PersonOf, write_audit_entry
 from daq_service.web.routes.listing import CursorText, Limit
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -27,11 +27,11 @@ router = APIRouter(tags=["notifications"])
 
 @router.get("/notifications", operation_id="get_notifications", response_model=NotificationsState)
 def get_notifications(context: ContextOf) -> JsonAnswer:
-    """Tell receivers without their secrets: last delivery, failures, what waits, next sign of life."""
-    found = context.notifications
-    receivers = [_receiver(context, line) for line in found.lines.values()]
+    """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat."""
+    service = context.notifications
+    receivers = [_receiver(context, queue) for queue in service.queues.values()]
     return JsonAnswer(
-        {"sending": not found.why_silent, "why_silent": found.why_silent, "receivers": receivers}
+        {"sending": not service.silent_reason, "why_silent": service.silent_reason, "receivers": receivers}
     )
 
 
@@ -42,19 +42,19 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
     responses=problems(422, 503),
 )
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
-    """List what was sent to whom, what failed and what was given up, the newest first."""
+    """List the delivery log (sent, failed and given-up messages), the newest first."""
     end = cursors.decode("deliveries", cursor)
     try:
-        found, before = context.notifications.deliveries.read(limit=limit, end=end)
+        lines, previous_end = context.notifications.deliveries.read(limit=limit, end=end)
     except OSError as error:
         raise StorageUnavailableError(f"{LOG_FILE} cannot be read: {error.strerror}") from error
     items = []
-    for number, delivery in found:
+    for number, delivery in lines:
         row = {"id": number, **asdict(delivery)}
         del row["place"]
         items.append(with_utc(row, 0))
-    following = None if before is None else cursors.encode("deliveries", before)
-    return JsonAnswer({"next_cursor": following, "items": items})
+    next_cursor = None if previous_end is None else cursors.encode("deliveries", previous_end)
+    return JsonAnswer({"next_cursor": next_cursor, "items": items})
 
 
 @router.post(
@@ -66,58 +66,66 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf
 ) -> JsonAnswer:
-    """Send one message that is marked as a trial, and tell what became of it."""
-    line = context.notifications.lines.get(receiver)
-    if line is None:
-        names = ", ".join(context.notifications.lines) or "none"
+    """Send one test message, and return its result."""
+    queue = context.notifications.queues.get(receiver)
+    if queue is None:
+        names = ", ".join(context.notifications.queues) or "none"
         raise not_found(f"There is no receiver {receiver!r}.", f"The receivers are: {names}.")
-    began_s = time.monotonic()
+    started_s = time.monotonic()
     try:
-        outcome = line.test(person.name)
+        outcome = queue.test(person.name)
     except BusyError as error:
         raise conflict(f"{error}.", "Ask again in some seconds.") from None
-    why, arguments = "" if outcome.ok else outcome.told, {"receiver": receiver}
-    told(request, person, "test_receiver", "done" if outcome.ok else "failed", why, arguments=arguments)
+    reason, arguments = "" if outcome.ok else outcome.description, {"receiver": receiver}
+    write_audit_entry(
+        request, person, "test_receiver", "done" if outcome.ok else "failed", reason, arguments=arguments
+    )
     return JsonAnswer(
         {
             "receiver": receiver,
-            **{name: getattr(outcome, name) for name in ("ok", "status", "told")},
-            "took_s": time.monotonic() - began_s,
+            "ok": outcome.ok,
+            "status": outcome.status,
+            "told": outcome.description,
+            "took_s": time.monotonic() - started_s,
         }
     )
 
 
-def _receiver(context: Context, line: ReceiverLine) -> dict[str, Any]:
-    own, state, now_ns = context.notifications.settings.receivers[line.name], line.state, time.time_ns()
+def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, Any]:
+    settings, state, now_ns = (
+        context.notifications.settings.receivers[queue.name],
+        queue.state,
+        time.time_ns(),
+    )
     rules = enumerate(context.notifications.settings.rules, start=1)
     sent_ns = state.last_sent_utc_ns
     return with_utc(
         {
-            "name": line.name,
-            "kind": own.kind,
-            "address": shown_address(own),
-            "rules": [number for number, rule in rules if not rule.receivers or line.name in rule.receivers],
-            "state": _word(state, now_ns),
+            "name": queue.name,
+            "kind": settings.kind,
+            "address": shown_address(settings),
+            "rules": [number for number, rule in rules if not rule.receivers or queue.name in rule.receivers],
+            "state": _state_name(state, now_ns),
             **{name: value for name, value in asdict(state).items() if "heartbeat" not in name},
             "last_sent_age_s": None if sent_ns is None else max(0.0, (now_ns - sent_ns) / NS_PER_S),
-            "heartbeat": _heartbeat(own, state),
+            "heartbeat": _heartbeat(settings, state),
         },
         0,
     )
 
 
-def _word(state: State, now_ns: int) -> str:
+def _state_name(state: State, now_ns: int) -> str:
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"
 
 
-def _heartbeat(own: ReceiverSettings, state: State) -> dict[str, Any] | None:
-    if own.heartbeat_s is None:
+def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, Any] | None:
+    if settings.heartbeat_s is None:
         return None
     return with_utc(
         {
-            "every_s": own.heartbeat_s,
+            "every_s": settings.heartbeat_s,
             "state": state.heartbeat,
             "told": state.heartbeat_result,
             "last_utc_ns": state.last_heartbeat_utc_ns,

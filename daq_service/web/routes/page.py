@@ -1,4 +1,4 @@
-"""`/`: the dashboard's page. It brings the first answers along, so that its tiles wait for nothing else."""
+"""`/`: page of the dashboard, with embedded first answers, so that its tiles appear at once."""
 
 from __future__ import annotations
 
@@ -21,39 +21,43 @@ from daq_service.web.routes.transducers import list_transducers
 router = APIRouter(include_in_schema=False)
 ANSWERS = b'<script type="application/json" id="answers">{'
 KEPT_S = 0.5
-"""So long other pages get the same answers: each follows what happens behind the event that these name."""
+"""Time for which pages get the same answers: each then follows the later events itself."""
 
 
 @router.get("/")
 async def get_dashboard(request: Request) -> Response:
-    """Serve the page, with what whoever asks may read."""
+    """Serve the page, with embedded answers as far as the person may read them."""
     answers = {b"/api/v1/session": bytes((await get_session(request)).body)}
-    if request.state.person is not None and _is_open(request):
-        answers |= await _of_test(context_at(request))
-    # As text of a script nothing may end it; in JSON the sign stands within strings only.
-    told = b",".join(b'"%b":%b' % answer for answer in answers.items()).replace(b"<", rb"\u003c")
-    page = assets()[PAGE].content.replace(ANSWERS, ANSWERS + told)
+    if request.state.person is not None and _has_test(request):
+        answers |= await _first_answers(context_at(request))
+    # "<" is escaped, as it could end the script element; in JSON it occurs only within strings.
+    embedded = b",".join(b'"%b":%b' % answer for answer in answers.items()).replace(b"<", rb"\u003c")
+    page = assets()[PAGE].content.replace(ANSWERS, ANSWERS + embedded)
     return Response(page, media_type=MEDIA_TYPES[".html"])
 
 
-def _is_open(request: Request) -> bool:
-    """Tell that there is a test to be read: of several, one may be out of reach."""
+def _has_test(request: Request) -> bool:
+    """Return whether the test of a request is available."""
     return hasattr(request.state, "test") or hasattr(request.app.state, "context")
 
 
-async def _of_test(context: Context) -> Mapping[bytes, bytes]:
-    """Give the answers of now, or of half a second ago."""
+async def _first_answers(context: Context) -> Mapping[bytes, bytes]:
+    """Return the first answers, at most `KEPT_S` old."""
     read_s, answers = context.first_answers
     if time.monotonic() - read_s > KEPT_S:
-        answers = await to_thread(_read, context)
+        answers = await to_thread(_read_answers, context)
         context.first_answers = time.monotonic(), answers
     return answers
 
 
-def _read(context: Context) -> dict[bytes, bytes]:
-    """Read them in this order: what changes behind the events that the first one counts is read again."""
-    ways = {b"/healthz": get_liveness, b"/api/v1/info": get_info, b"/api/v1/transducers": list_transducers}
+def _read_answers(context: Context) -> dict[bytes, bytes]:
+    """Read the first answers; info comes before the others, as pages follow events after its last id."""
+    handlers = {
+        b"/healthz": get_liveness,
+        b"/api/v1/info": get_info,
+        b"/api/v1/transducers": list_transducers,
+    }
     try:
-        return {path: bytes(way(context).body) for path, way in ways.items()}
+        return {path: bytes(handler(context).body) for path, handler in handlers.items()}
     except (Problem, SolimonError, OSError):
-        return {}  # the page asks, and says what is wrong
+        return {}  # the page requests them itself, and shows the error

@@ -1,4 +1,4 @@
-"""Query parameters that a route does not know are refused: a misspelt filter must not look like a result."""
+"""Check for unknown query parameters, so that a misspelt filter does not give a wrong result."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from starlette.requests import HTTPConnection
 async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
     """Check the names of a request's query parameters; a dependency of every route of the API.
 
-    It never waits: as a coroutine it costs no thread.
+    As a coroutine it needs no thread.
 
     Raises
     ------
     RequestValidationError
-        422: a name that the route does not have, with the nearest one that it has.
+        422: an unknown name, with the nearest known one.
     """
     route = connection.scope.get("route")
     if not isinstance(route, APIRoute):
-        return  # a WebSocket: its route checks for itself
+        return  # a WebSocket: its route checks itself
     known = sorted(field.alias for field in route.dependant.query_params)
     unknown = [name for name in connection.query_params if name not in known]
     if unknown:

@@ -1,4 +1,4 @@
-"""`/api/v1/waveforms/{position}`: records of a position over some sets as one file."""
+"""`/api/v1/waveforms/{position}`: waveforms of a position over some sets as one file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from daq_service.web.tables.records import NoRecordError, RecordChoice, read_sli
 
 router = APIRouter(tags=["waveforms"])
 MOST_BYTES = 32_000_000
-"""In volts; a file while it is made takes some three times as much."""
+"""Limit in volts; creating a file needs some three times as much memory."""
 
 
 @router.get(
@@ -38,12 +38,12 @@ def get_waveforms(
     last_set: Annotated[int | None, Query(ge=0, le=LARGEST_INDEX, description="Last set, included")] = None,
     form: Form = None,
 ) -> Response:
-    """Export the accepted records of a range in volts, with hour, flags and quality of each.
+    """Export the accepted waveforms of a range in volts, with hour, flags and quality of each.
 
-    All of them have one length and rate, and at most 32 MB in volts; their features are the table
+    All must have the same length and rate, and at most 32 MB in volts; their features are in the table
     `shot_features`.
     """
-    context.known(position)
+    context.checked_position(position)
     name = form or accepted(request.headers.get("accept", ""))
     catalogue, fresh = context.catalogue(), context.freshness()
 
@@ -55,7 +55,7 @@ def get_waveforms(
         records = read_slice(catalogue, context.archive, choice, most_bytes=MOST_BYTES)
         return exported_records(catalogue, fresh, choice, records, name)
 
-    # Compressed on the way, such an answer would keep the event loop busy.
+    # Compression of such a response would block the event loop.
     headers = {"Vary": "Accept", "Content-Encoding": "identity"}
     try:
         content = alone(made)

@@ -1,4 +1,4 @@
-"""`/api/v1/report`: the test or some hours of it as one HTML page."""
+"""`/api/v1/report`: report of the test or some hours as one HTML page."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ _making = threading.Lock()
 def get_report(
     context: ContextOf, person: PersonOf, from_h: FromHour = None, to_h: ToHour = None
 ) -> Response:
-    """Make a report: what was tested, how it stands, trends, gaps, alarms with proof, annotations, orders.
+    """Return a report: identity, present state, trends, gaps, alarms, annotations and commands.
 
-    Who may read the audit finds it inside. One is made at a time, in a process of its own.
+    It contains the audit log for persons who may read it. One report is created at a time, in a separate
+    process.
     """
     last_hour(from_h, to_h)
     context.catalogue()
@@ -57,9 +58,9 @@ def get_report(
     finally:
         _making.release()
     headers = {
-        # A test's name may hold what a header cannot.
+        # The name of a test may contain characters that are not allowed in a header.
         "Content-Disposition": 'attachment; filename="report.html"',
-        # Compressed on the way, it would keep the event loop busy.
+        # Compression would block the event loop.
         "Content-Encoding": "identity",
     }
     return Response(content, media_type="text/html", headers=headers)

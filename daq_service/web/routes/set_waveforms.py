@@ -1,4 +1,4 @@
-"""`/api/v1/sets/{position}/{set_index}/waveforms`: records of a set, and where marks were sought."""
+"""`/api/v1/sets/{position}/{set_index}/waveforms`: waveforms of a set, and their search windows."""
 
 from __future__ import annotations
 
@@ -43,39 +43,41 @@ def get_set_waveforms(
     position: str,
     set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
 ) -> Response:
-    """Read the accepted records of a set: u32 header length, JSON header, samples one after another.
+    """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
-    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes were looked for.
+    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched.
     """
     catalogue = context.catalogue()
-    its_set = next(iter(catalogue.rows(SetRow, position=context.known(position), set_index=set_index)), None)
+    set_row = next(
+        iter(catalogue.rows(SetRow, position=context.checked_position(position), set_index=set_index)), None
+    )
     accepted = {
         row.sequence
         for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
         if row.outcome == ACCEPTED
     }
-    if its_set is None or its_set.file is None or not accepted:
+    if set_row is None or set_row.file is None or not accepted:
         raise not_found(
             f"No record of position {position}, set {set_index} is stored.",
             "/api/v1/sets lists the sets, and why one is missed.",
         )
     headers: dict[str, str] = {}
-    if its_set.file_sha256 is not None:
-        headers, known = unchanged(request, f'"{its_set.file_sha256[:20]}-{position}"')
-        if known is not None:
-            return known
+    if set_row.file_sha256 is not None:
+        headers, not_modified = unchanged(request, f'"{set_row.file_sha256[:20]}-{position}"')
+        if not_modified is not None:
+            return not_modified
     try:
-        taken = context.archive.read_position(SetReference(its_set.file), position)
+        taken = context.archive.read_position(SetReference(set_row.file), position)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     records = [record for record in taken if record.sequence in accepted]
     header = {
         "position": position,
         "set_index": set_index,
-        "method": its_set.method,
+        "method": set_row.method,
         "n_damaged": len(accepted) - len(records),
-        "windows_s": _windows_s(context, its_set),
+        "windows_s": _windows_s(context, set_row),
         "records": [
             {
                 "shot_index": record.key.shot_index,
@@ -99,24 +101,24 @@ def get_set_waveforms(
     return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 
-def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, float]]:
-    """Windows of the set, from the trigger; none where the set gave nothing to count them from."""
-    catalogue, method = context.catalogue(), METHODS[its_set.method]
-    place: dict[str, Any] = {"position": its_set.position, "set_index": its_set.set_index}
-    found = next(iter(catalogue.rows(method.row, **place, **method.of_sets)), None)
-    if its_set.method == SOLITARY_WAVE:
-        if not isinstance(found, FeatureRow) or found.isw_time_s is None:
+def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
+    """Return the search windows of a set, s from the trigger; none without a reference time."""
+    catalogue, method = context.catalogue(), METHODS[set_row.method]
+    set_filters: dict[str, Any] = {"position": set_row.position, "set_index": set_row.set_index}
+    result = next(iter(catalogue.rows(method.row, **set_filters, **method.of_sets)), None)
+    if set_row.method == SOLITARY_WAVE:
+        if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}
-        return search_windows_s(found.isw_time_s, found.psw_time_s, ExtractionSettings())
-    # The reference echo of the test, as the assessor takes it.
-    first = catalogue.first_reading(its_set.position)
+        return search_windows_s(result.isw_time_s, result.psw_time_s, ExtractionSettings())
+    # The reference echo of the test, as in the assessment.
+    first = catalogue.first_reading(set_row.position)
     delay_s = context.settings.ultrasound.delay_s
     if first is None or first.travel_time_s is None or first.travel_time_s <= delay_s:
         return {}
     span_s = first.travel_time_s - delay_s
     windows = {"first echo": (delay_s + THINNEST_FRACTION * span_s, delay_s + THICKEST_FRACTION * span_s)}
-    if isinstance(found, ThicknessRow) and found.travel_time_s is not None:
-        # The second echo has gone through the wall twice; it is not measured, only where it belongs.
-        second_s = delay_s + 2.0 * (found.travel_time_s - delay_s)
+    if isinstance(result, ThicknessRow) and result.travel_time_s is not None:
+        # The second echo has passed the wall twice; it is not measured, so only its expected time is shown.
+        second_s = delay_s + 2.0 * (result.travel_time_s - delay_s)
         windows["second echo"] = (second_s, second_s)
     return windows

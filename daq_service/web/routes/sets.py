@@ -1,4 +1,4 @@
-"""`/api/v1/sets`: sets, planned or beside the plan, and what became of them; the shots of one."""
+"""`/api/v1/sets`: planned and unscheduled sets with their results; the shots of a set."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ add_listing(
 def list_shots(
     context: ContextOf, position: str, set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
 ) -> JsonAnswer:
-    """List the stored shots of one set; there are never many, so there is one page."""
-    context.known(position)
+    """List the stored shots of one set, in one page."""
+    context.checked_position(position)
     fresh = context.freshness()
     rows = context.catalogue().rows(ShotRow, position=position, set_index=set_index)
     if not rows:

@@ -1,4 +1,4 @@
-"""One multiplexed stream of server-sent events: `/api/v1/stream?topics=`.
+"""`/api/v1/stream?topics=`: one multiplexed stream of server-sent events.
 
 An event's id is the catalogue's event id, so `Last-Event-ID` resumes across restarts of the
 recorder and of this service. Besides the topics there are `gap` (events between two ids were
@@ -36,7 +36,7 @@ TOPICS = (
     "service",
 )
 LARGEST_CHUNK_EVENTS = 32
-"""About 20 kB: what waits for a client that does not read stays small."""
+"""About 20 kB: limits the memory for a client that does not read."""
 MOST_CLIENTS = 2000
 RETRY_MS = 1000
 
@@ -59,8 +59,8 @@ async def stream_events(
     ] = None,
     last_event_id: Annotated[str | None, Header(description="Set by EventSource when it reconnects")] = None,
 ) -> StreamingResponse:
-    """Resume behind `Last-Event-ID` (or `after`), or begin with the next event."""
-    chosen = _topics(topics)
+    """Stream events after `Last-Event-ID` (or `after`), or from the next event."""
+    selected = _topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
         raise Problem(
             503,
@@ -69,12 +69,12 @@ async def stream_events(
             f"{MOST_CLIENTS} streams are open, and no more are served.",
             "Close some, or share one between the tabs and programs of a computer.",
         )
-    begin = after if last_event_id in (None, "") else _event_id(last_event_id or "")
-    if begin is None and context.hub.complete_after is not None:
-        # Now, before the client hears that it is connected: what follows is new to it.
-        begin = context.hub.last_id
+    start_after = after if last_event_id in (None, "") else _event_id(last_event_id or "")
+    if start_after is None and context.hub.complete_after is not None:
+        # Now, before the client is connected: all later events are new to it.
+        start_after = context.hub.last_id
     return StreamingResponse(
-        frames(context, context.hub, chosen, begin, partial(context.doors.stands, person)),
+        frames(context, context.hub, selected, start_after, partial(context.access_policy.may_stay, person)),
         media_type="text/event-stream",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
@@ -83,15 +83,15 @@ async def stream_events(
 def _topics(text: str | None) -> frozenset[str] | None:
     if text is None:
         return None
-    chosen = frozenset(part.strip() for part in text.split(",") if part.strip())
-    unknown = sorted(chosen - set(TOPICS))
-    if unknown or not chosen:
+    selected = frozenset(part.strip() for part in text.split(",") if part.strip())
+    unknown = sorted(selected - set(TOPICS))
+    if unknown or not selected:
         raise invalid(
             "Unknown topic",
             f"topics is {text!r}; unknown: {', '.join(unknown) or '(none given)'}.",
             f"Choose from {', '.join(TOPICS)}.",
         )
-    return chosen
+    return selected
 
 
 def _event_id(text: str) -> int:
@@ -105,7 +105,7 @@ def _event_id(text: str) -> int:
 
 
 def gap_frame(after: int, until: int, reason: str) -> bytes:
-    """Tell a client which ids it did not get; its cursor moves to the end of the gap."""
+    """Return the frame of a gap with the skipped ids; it moves the cursor of a client to its end."""
     data = orjson.dumps({"after": after, "until": until, "reason": reason})
     return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
 
@@ -114,10 +114,10 @@ async def frames(
     context: Context,
     hub: EventHub,
     topics: frozenset[str] | None,
-    begin: int | None,
+    start_after: int | None,
     may_stay: Callable[[], bool] = lambda: True,
 ) -> AsyncIterator[bytes]:
-    """Bytes for one client until the hub closes, the client leaves or its token opens no more."""
+    """Yield the frames for one client until the hub closes, the client leaves or its token is invalid."""
     hub.clients += 1
     try:
         yield b"retry: %d\n\n" % RETRY_MS
@@ -126,9 +126,9 @@ async def frames(
             await hub.changed()
             if hub.complete_after is None:
                 yield heartbeat
-        cursor = hub.last_id if begin is None else begin
+        cursor = hub.last_id if start_after is None else start_after
         if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
-            # Not one that REST told and the hub will see in a moment: it is of another data folder.
+            # The id is not merely newer than the hub: it belongs to another data folder.
             yield gap_frame(cursor, hub.last_id, "this event id is not known here")
             cursor = hub.last_id
         reason = "it is too long ago"
@@ -145,13 +145,13 @@ async def frames(
                 cursor = events[-1].id
                 chunk += b"".join(event.frame for event in events if topics is None or event.topic in topics)
             if loop.time() - beat_at >= 0.9 * hub.heartbeat_interval_s:
-                # A real event: a page sees no comments. Finds clients that left, keeps proxies from closing.
+                # A real event, as a page sees no comments: detects clients that left, keeps proxies open.
                 beat_at = loop.time()
                 chunk += heartbeat
             if chunk:
                 yield chunk
             if cursor < hub.last_id:
-                await hub.turn()
+                await hub.yield_turn()
             else:
                 await hub.changed()
             reason = "the client was too slow"

@@ -1,4 +1,4 @@
-"""`/api/v1/tables`: whole tables as files, for spreadsheets, Python, MATLAB and viewers."""
+"""`/api/v1/tables`: tables as files, for spreadsheets, Python, MATLAB and viewers."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from daq_service.web.answers.models import TableList, problems
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import FromHour, PositionFilter, PurposeFilter, ToHour, last_hour
-from daq_service.web.tables.choice import TABLES, chosen
+from daq_service.web.tables.choice import TABLES, check_choice
 from daq_service.web.tables.export import exported
 from daq_service.web.tables.formats import FORMATS, available
 
 router = APIRouter(tags=["tables"])
 MOST_ROWS = 100_000
-"""Some 50 MB while a file of all rows is made."""
+"""Limit of rows: some 50 MB while a file of all rows is created."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 FILES = {kind.media_type: _BINARY for kind in FORMATS.values()}
-"""What an exported file can be, as OpenAPI says it."""
+"""Media types of exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
     Query(alias="format", description="Absent: by the header Accept, else csv"),
@@ -40,7 +40,7 @@ def list_tables() -> JsonAnswer:
     items = [
         {
             "table": name,
-            "told": kind.told,
+            "told": kind.description,
             "columns": [{"name": c.name, "form": c.form, "unit": c.unit} for c in kind.columns],
         }
         for name, kind in TABLES.items()
@@ -67,24 +67,26 @@ def get_table(
     purpose: PurposeFilter = "planned",
     form: Form = None,
 ) -> Response:
-    """Export a table or a range of it; hour, quality and what tells rows apart are always in it."""
+    """Export a table or a range of it, always with hour, quality and the columns that identify rows."""
     if table not in TABLES:
         raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
     if position is not None:
-        context.known(position)
+        context.checked_position(position)
     last_hour(from_h, to_h)
     name = form or accepted(request.headers.get("accept", ""))
     catalogue, fresh = context.catalogue(), context.freshness()
     headers = {"Vary": "Accept"}
     try:
-        choice = chosen(table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose)
+        choice = check_choice(
+            table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose
+        )
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
         parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:
             return Response(
                 alone(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
             )
-        first = next(parts, b"")  # what is wrong shows before the answer begins
+        first = next(parts, b"")  # errors occur before the response starts
     except UsageError as error:
         raise invalid("No such export", str(error), "/api/v1/tables lists tables and formats.") from error
     return StreamingResponse(
@@ -93,7 +95,7 @@ def get_table(
 
 
 def accepted(accept: str) -> str:
-    """Choose the format by the header ``Accept``: the first known type of the highest quality, else csv."""
+    """Return the format for an ``Accept`` header: the first known type of the highest quality, else csv."""
     types = {kind.media_type: name for name, kind in FORMATS.items()}
     offers: list[tuple[float, str]] = []
     for part in accept.split(","):
@@ -107,12 +109,12 @@ def accepted(accept: str) -> str:
 
 
 def alone(make: Callable[[], bytes]) -> bytes:
-    """Make a file as a whole, beside one other at most: each holds all its rows.
+    """Create a complete file, at most `AT_ONCE` at a time, since each holds all its rows in memory.
 
     Raises
     ------
     Problem
-        503: so many are being made already.
+        503: too many files are being created.
     """
     if not _making.acquire(blocking=False):
         raise Problem(

@@ -1,4 +1,4 @@
-"""`/api/v1/thickness`: what the ultrasonic probe says of the wall."""
+"""`/api/v1/thickness`: wall thickness from pulse echo."""
 
 from __future__ import annotations
 

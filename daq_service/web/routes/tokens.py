@@ -1,4 +1,4 @@
-"""`/api/v1/tokens`: an administrator makes and revokes access tokens, as `solimon token` does."""
+"""`/api/v1/tokens`: administration of access tokens, as with `solimon token`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from daq_service.web.answers.problem import conflict
 from daq_service.web.auth.roles import CLAIMED, Role
 from daq_service.web.auth.tokens import Token, create_token, read_tokens, revoke_token
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.admission import PersonOf, told
+from daq_service.web.routes.admission import PersonOf, write_audit_entry
 
 router = APIRouter(tags=["tokens"])
 
 
-class TokenWanted(Strict):
-    """For whom, and what it shall allow."""
+class TokenRequest(Strict):
+    """Body of a request for a new token: name, role and lifetime."""
 
     name: str = Field(min_length=1, max_length=40, description="Who will use it; orders bear this name")
     role: Role
@@ -31,8 +31,10 @@ class TokenWanted(Strict):
 
 @router.get("/tokens", operation_id="list_tokens", response_model=TokenList, responses=problems(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
-    """List all tokens, revoked and expired ones too; what opens is stored nowhere."""
-    return JsonAnswer({"items": [token_row(token) for token in read_tokens(context.doors.tokens_path)]})
+    """List all tokens, also revoked and expired ones, without their secret text."""
+    return JsonAnswer(
+        {"items": [token_row(token) for token in read_tokens(context.access_policy.tokens_path)]}
+    )
 
 
 @router.post(
@@ -42,19 +44,25 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
     response_model=NewToken,
     responses=problems(400, 403, 409, 413, 422, 503),
 )
-def make_token(wanted: TokenWanted, request: Request, person: PersonOf, context: ContextOf) -> Response:
-    """Make a token; its text is told in this answer and never again."""
+def create_access_token(
+    token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
+) -> Response:
+    """Create a token; its secret text is only in this response."""
     if person.role == CLAIMED:
         raise conflict(
             "The first token decides who may come in, and is not made over the network.",
             "Make it on the computer itself: `solimon token create NAME --role admin`.",
         )
     try:
-        token, text = create_token(context.doors.tokens_path, wanted.name, wanted.role, days=wanted.days)
+        token, text = create_token(
+            context.access_policy.tokens_path, token_request.name, token_request.role, days=token_request.days
+        )
     except UsageError as error:
-        told(request, person, "create_token", "refused", str(error), arguments=wanted.model_dump())
+        write_audit_entry(
+            request, person, "create_token", "refused", str(error), arguments=token_request.model_dump()
+        )
         raise conflict(f"{error}.", "Choose another name, or revoke the one there is.") from None
-    told(request, person, "create_token", "done", arguments=wanted.model_dump())
+    write_audit_entry(request, person, "create_token", "done", arguments=token_request.model_dump())
     return JsonAnswer({**token_row(token), "token": text}, status_code=201)
 
 
@@ -64,21 +72,21 @@ def make_token(wanted: TokenWanted, request: Request, person: PersonOf, context:
     response_model=TokenEntry,
     responses=problems(403, 409, 422, 503),
 )
-def take_token(
+def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf
 ) -> Response:
-    """Let a token open nothing any more; streams that it opened end within seconds."""
+    """Revoke a token; its open streams end within seconds."""
     try:
-        token = revoke_token(context.doors.tokens_path, name)
+        token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:
-        told(request, person, "revoke_token", "refused", str(error), arguments={"name": name})
+        write_audit_entry(request, person, "revoke_token", "refused", str(error), arguments={"name": name})
         raise conflict(f"{error}.", "/api/v1/tokens lists them.") from None
-    told(request, person, "revoke_token", "done", arguments={"name": name})
+    write_audit_entry(request, person, "revoke_token", "done", arguments={"name": name})
     return JsonAnswer(token_row(token))
 
 
 def token_row(token: Token) -> dict[str, Any]:
-    """Return what may be told of a token."""
+    """Return the public data of a token."""
     return {
         name: getattr(token, name)
         for name in ("name", "role", "state", "created_utc", "expires_utc", "revoked_utc")

@@ -1,4 +1,4 @@
-"""`/api/v1/transducers`: each monitored place as it stands now."""
+"""`/api/v1/transducers`: present state of each monitored position."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ router = APIRouter(tags=["transducers"])
     responses=problems(503),
 )
 def list_transducers(context: ContextOf) -> JsonAnswer:
-    """Tell state, newest values, quality and age of every position."""
+    """Return state, newest values, quality and age of every position."""
     fresh = context.freshness()
     states = context.catalogue().positions_state()
     items = [_state(context, fresh, name, states.get(name)) for name in context.settings.positions]
@@ -39,17 +39,17 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     responses=problems(404, 422, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
-    """Tell state, newest values, quality and age of one position."""
-    context.known(position)
+    """Return state, newest values, quality and age of one position."""
+    context.checked_position(position)
     state = context.catalogue().positions_state().get(position)
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, found: LatestRows | None) -> dict[str, Any]:
+def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
     place = context.settings.positions[name]
-    last = fresh.standing_word(found or LatestRows(position=name, method=place.method))
+    last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_verdict, last.active_alarms
-    told = [row for row in alarms if row.suppressed is None]
+    visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
@@ -66,10 +66,10 @@ def _state(context: Context, fresh: Freshness, name: str, found: LatestRows | No
         "last_thickness": _row(fresh, last.last_thickness),
         "last_verdict": None if assessment is None else with_quality(context, fresh, [assessment])[0],
         "retired_because": retired_positions(alarms).get(name),
-        "active_alarms": len(told),
-        "suppressed_alarms": len(alarms) - len(told),
+        "active_alarms": len(visible_alarms),
+        "suppressed_alarms": len(alarms) - len(visible_alarms),
         "shelved_until_utc": rfc3339(min(shelves, default=None)),
-        "highest_severity": max((row.severity for row in told), key=SEVERITIES.index, default=None),
+        "highest_severity": max((row.severity for row in visible_alarms), key=SEVERITIES.index, default=None),
     }
 
 

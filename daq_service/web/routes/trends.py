@@ -1,4 +1,4 @@
-"""`/api/v1/trends/{position}`: columns over the test, one entry a set, for charts and analysis."""
+"""`/api/v1/trends/{position}`: columns over the test, one entry per set, for charts and analysis."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ router = APIRouter(tags=["trends"])
 
 ASSESSMENTS = TREND_ASSESSMENTS
 POINTS, MOST_POINTS = 500, 1000
-"""Entries of an answer that asks for no number, and the most that may be asked for."""
+"""Default and maximum number of entries of an answer."""
 MOST_BYTES = 195_000
-"""Of the columns of an answer; units and names beside them take less than 5 kB."""
+"""Limit of the columns of an answer; units and names need less than 5 kB."""
 _SET_BYTES, _BIN_BYTES = 120, 210
-"""What an entry takes beside its values: number, hours, time, quality; of a bin also counts and sets."""
+"""Bytes of an entry without its values: index, hours, time, quality; for a bin also counts and sets."""
 _NUMBER_BYTES, _WORD_BYTES, _REASON_BYTES = 25, 6, 200
-"""The longest number of 64 bits, true or false, a verdict's reason, each with its comma."""
+"""Maximum bytes of a 64-bit number, a truth value and the reason of an assessment, with comma."""
 COMMON = ("set_index", "due_h", "quality")
 
 
@@ -41,7 +41,7 @@ FieldName = Annotated[
 
 
 def unit_of(field: str) -> str:
-    """Read a column's unit from its name; 1 is a pure number."""
+    """Return the unit of a column from its name; 1 is a pure number."""
     for suffix, unit in (("_v_s", "V s"), ("_s", "s"), ("_v", "V"), ("_m", "m"), ("_h", "h")):
         if field.endswith(suffix):
             return unit
@@ -49,12 +49,12 @@ def unit_of(field: str) -> str:
 
 
 def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> list[str]:
-    """Names from a comma-separated list.
+    """Return the names of a comma-separated list.
 
     Raises
     ------
     Problem
-        422: a name that this method does not have.
+        422: the method does not have such a column.
     """
     if fields is None:
         return list(known)
@@ -96,15 +96,15 @@ def get_trend(
         ),
     ] = POINTS,
 ) -> JsonAnswer:
-    """Tell features or thickness by set, with verdicts beside them, by column; of many sets by bins.
+    """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
     Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets: the columns
     hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
     range has smaller bins, at last single sets.
     """
-    method = context.settings.positions[context.known(position)].method
-    asked = None if fields is None else ",".join(fields)
-    chosen = checked_fields(method, asked, known=(*METHODS[method].values, *ASSESSMENTS))
+    method = context.settings.positions[context.checked_position(position)].method
+    field_list = None if fields is None else ",".join(fields)
+    chosen = checked_fields(method, field_list, known=(*METHODS[method].values, *ASSESSMENTS))
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     kind = METHODS[method].row
@@ -117,12 +117,12 @@ def get_trend(
         points=min(points, MOST_BYTES // set_bytes),
         most_bins=min(points, MOST_BYTES // bin_bytes),
     )
-    bin_sets, told = 1, None
+    bin_sets, bins_json = 1, None
     if binned is None:
         columns = read_columns(context, position, chosen, from_h, last_h)
     else:
         bin_sets, bins = binned
-        columns, told = columns_of_bins(kind, bins, chosen), published_bins(kind, bins, chosen)
+        columns, bins_json = columns_of_bins(kind, bins, chosen), published_bins(kind, bins, chosen)
     columns["due_utc"] = rfc3339_of_hours(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
@@ -133,17 +133,17 @@ def get_trend(
             "units": {name: unit_of(name) for name in ("due_h", "age_h", *chosen) if name not in _UNITLESS},
             "bin_sets": bin_sets,
             "columns": columns,
-            "bins": told,
+            "bins": bins_json,
         }
     )
 
 
 def entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
-    """Give the most that a set and a bin take in an answer with these columns."""
+    """Return the maximum bytes of a set and of a bin in an answer with these columns."""
     numbers = [name for name in fields if name not in _UNITLESS]
     words = _WORD_BYTES * (len(fields) - len(numbers))
     of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)
-    # A bin has mean, least and greatest, and how many sets have the value; it has no reason.
+    # A bin has mean, minimum, maximum and count of each value; it has no reason.
     return of_set, _BIN_BYTES + words + (3 * _NUMBER_BYTES + 8) * len(numbers)
 
 
@@ -153,7 +153,7 @@ _UNITLESS = frozenset({"outlier", "outlier_paper", "in_baseline", "reason"})
 def measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
 ) -> dict[str, list[Any]]:
-    """Read columns of what the position's method measured, one entry a set."""
+    """Read columns of the measured values of a position, one entry per set."""
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
     return context.catalogue().columns(method.row, names, **filters)
@@ -162,17 +162,19 @@ def measured_columns(
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> dict[str, list[Any]]:
-    """Read `COMMON` and the chosen columns; a set without verdict has null in the verdict's columns."""
-    own = [name for name in fields if name in METHODS[context.settings.positions[position].method].values]
-    judged = [name for name in fields if name in ASSESSMENTS]
-    columns = measured_columns(context, position, [*COMMON, *own], from_h, last_h)
-    if judged:
+    """Read `COMMON` and the selected columns; a set without assessment has null in its columns."""
+    measured_names = [
+        name for name in fields if name in METHODS[context.settings.positions[position].method].values
+    ]
+    assessment_names = [name for name in fields if name in ASSESSMENTS]
+    columns = measured_columns(context, position, [*COMMON, *measured_names], from_h, last_h)
+    if assessment_names:
         assessments = context.catalogue().columns(
-            AssessmentRow, ["set_index", *judged], position=position, first_h=from_h, last_h=last_h
+            AssessmentRow, ["set_index", *assessment_names], position=position, first_h=from_h, last_h=last_h
         )
         row_of = {index: row for row, index in enumerate(assessments["set_index"])}
         rows = [row_of.get(index) for index in columns["set_index"]]
-        for name in judged:
+        for name in assessment_names:
             values = assessments[name]
             columns[name] = [None if row is None else values[row] for row in rows]
     return columns
@@ -183,7 +185,7 @@ _FLAGS = {
     "outlier_paper": ("n_judged_paper", "n_outliers_paper"),
     "in_baseline": ("n_sets", "n_in_baseline"),
 }
-"""Column: of how many sets it is told, and of how many of them it is true."""
+"""Column: number of sets with a value, and number of sets where it is true."""
 _COUNTS = ("n_sets", "n_missed", "n_outliers", "n_outliers_paper", "n_alarms")
 _SETS_IN_A_BIN = {
     "last_set_index": "last_set",
@@ -193,7 +195,7 @@ _SETS_IN_A_BIN = {
 
 
 def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[Any]]:
-    """Columns as `read_columns` gives them, an entry a bin."""
+    """Return columns as `read_columns`, with one entry per bin."""
     columns: dict[str, list[Any]] = {
         "set_index": bins["first_set"].astype(int).tolist(),
         "due_h": bins["first_h"].tolist(),
@@ -202,11 +204,13 @@ def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -
         ],
     }
     for name in fields:
-        if name == "reason":  # of each set its own
+        if name == "reason":  # differs by set
             columns[name] = [None] * bins.size
         elif name in _FLAGS:
-            of, true = (bins[told] for told in _FLAGS[name])
-            columns[name] = [bool(n) if known else None for known, n in zip(of, true, strict=True)]
+            known_counts, true_counts = (bins[column] for column in _FLAGS[name])
+            columns[name] = [
+                bool(n) if known else None for known, n in zip(known_counts, true_counts, strict=True)
+            ]
         else:
             column = values_of(kind).index(name) if name in values_of(kind) else None
             columns[name] = [None] * bins.size if column is None else _means(bins, column)
@@ -221,7 +225,7 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
 
 
 def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
-    """Tell what stands beside the columns of a bin: extremes, counts, where an outlier or an alarm is."""
+    """Return the further values of bins: extremes, counts, first outliers and alarms."""
     names = [name for name in values_of(kind) if name in fields]
     column_of = {name: values_of(kind).index(name) for name in names}
     return {
@@ -231,8 +235,8 @@ def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) ->
         "last_h": bins["last_h"].tolist(),
         **{name: bins[name].astype(int).tolist() for name in _COUNTS},
         **{
-            told: [int(index) if math.isfinite(index) else None for index in bins[name]]
-            for told, name in _SETS_IN_A_BIN.items()
+            key: [int(index) if math.isfinite(index) else None for index in bins[name]]
+            for key, name in _SETS_IN_A_BIN.items()
         },
     }
 

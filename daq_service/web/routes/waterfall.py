@@ -1,4 +1,4 @@
-"""`/api/v1/waterfall/{position}`: all records of a position as one picture, hour by time."""
+"""`/api/v1/waterfall/{position}`: all waveforms of a position as one image, hour by time."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ COLUMNS, MOST_COLUMNS = 512, 1024
 MOST_JSON_CELLS = 65_536
 LONGEST_S = 1e3
 FIRST_OF = {"solitary_wave": "isw", "pulse_echo": "first_echo"}
-_LOOKED_AT = 50
-"""Sets among which one with a sound record shows how the position is sampled."""
+_MOST_FIRST_SETS = 50
+"""Number of first sets to search for a valid record, which gives the sampling of the position."""
 
 Seconds = Annotated[
     float | None,
@@ -82,17 +82,17 @@ def get_waterfall(
     ] = "volts",
     form: Annotated[Literal["octets", "json"], Query(alias="format")] = "octets",
 ) -> Response:
-    """Draw all accepted records of a position: in each cell the least and the greatest sample.
+    """Return all accepted waveforms of a position as an image of the extremes of each cell.
 
     Octets: u32 header length, JSON header padded with spaces to a multiple of 8, then float32 (little-endian)
-    of all least values by row, then of all greatest; NaN where there is no sample. No sample is lost, however
-    few rows and columns; edges of rows lie at multiples of `row_sets`, so the first and last may reach beyond
-    the range. A record's time counts from its own anchor; where none was found, it is in no aligned picture.
+    of all minima by row, then of all maxima; NaN where there is no sample. No sample is lost, even with few
+    rows and columns; edges of rows are at multiples of `row_sets`, so the first and last may exceed the
+    range. The time of a record counts from its anchor; a record without one is in no aligned image.
     """
-    method = context.settings.positions[context.known(position)].method
+    method = context.settings.positions[context.checked_position(position)].method
     _check(method, align, from_s, to_s, rows * columns if form == "json" else 0)
     catalogue = context.catalogue()
-    index = _Index(catalogue, position)
+    index = _CatalogueIndex(catalogue, position)
     last_h = last_hour(from_h, to_h)
     tiles = context.waterfall.tiles(
         context.data_folder,
@@ -103,11 +103,11 @@ def get_waterfall(
     )
     if tiles is None:
         return Response(status_code=204)
-    first = catalogue.rows(SetRow, position=position, first_h=from_h, limit=1)
-    last = catalogue.last_rows(SetRow, position, 1, last_h=last_h)
+    first_rows = catalogue.rows(SetRow, position=position, first_h=from_h, limit=1)
+    last_rows = catalogue.last_rows(SetRow, position, 1, last_h=last_h)
     wanted = Wanted(
-        first=first[0].set_index if first else 0,
-        last=last[0].set_index if first and last else -1,
+        first=first_rows[0].set_index if first_rows else 0,
+        last=last_rows[0].set_index if first_rows and last_rows else -1,
         rows=rows,
         columns=columns,
         from_s=from_s,
@@ -144,21 +144,25 @@ def get_waterfall(
         "pending_sets": picture.pending + baseline_pending,
         "unreadable_sets": picture.unreadable,
     }
-    told = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    header_bytes = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     samples = planes.astype("<f4", copy=False).tobytes()
-    etag = f'"{hashlib.blake2b(told + samples, digest_size=16).hexdigest()}-{form}"'
-    headers, known = unchanged(request, etag)
-    if known is not None:
-        return known
+    etag = f'"{hashlib.blake2b(header_bytes + samples, digest_size=16).hexdigest()}-{form}"'
+    headers, not_modified = unchanged(request, etag)
+    if not_modified is not None:
+        return not_modified
     if form == "json":
-        extremes = {"minimum": _listed(planes[0]), "maximum": _listed(planes[1])}
+        extremes = {"minimum": _nested_lists(planes[0]), "maximum": _nested_lists(planes[1])}
         return JsonAnswer({**header, **extremes}, headers=headers)
-    told += b" " * (-(4 + len(told)) % 8)
-    return Response(struct.pack("<I", len(told)) + told + samples, media_type=OCTET_STREAM, headers=headers)
+    header_bytes += b" " * (-(4 + len(header_bytes)) % 8)
+    return Response(
+        struct.pack("<I", len(header_bytes)) + header_bytes + samples,
+        media_type=OCTET_STREAM,
+        headers=headers,
+    )
 
 
-class _Index:
-    """What a picture asks the catalogue (`picture.Index`)."""
+class _CatalogueIndex:
+    """Index of an image in the catalogue (`image.Index`)."""
 
     def __init__(self, catalogue: Catalogue, position: str) -> None:
         self._catalogue, self._position = catalogue, position
@@ -174,18 +178,18 @@ class _Index:
         return anchors_of(results_in(self._catalogue, set_index))
 
     def first_files(self) -> list[SetReference]:
-        """Files of the first sets."""
-        rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_LOOKED_AT)
+        """Return the files of the first sets."""
+        rows = self._catalogue.rows(SetRow, position=self._position, tried=True, limit=_MOST_FIRST_SETS)
         return [SetReference(row.file) for row in rows if row.file is not None]
 
 
 def _check(method: str, align: str, from_s: float | None, to_s: float | None, json_cells: int) -> None:
-    """Refuse what no picture can be.
+    """Check the parameters of an image.
 
     Raises
     ------
     Problem
-        422.
+        422: they are invalid.
     """
     if align not in ("trigger", FIRST_OF[method]):
         raise invalid(
@@ -208,52 +212,52 @@ def _check(method: str, align: str, from_s: float | None, to_s: float | None, js
 
 
 def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int]:
-    """Choose the sets of the present baseline; of a probe its first reading.
+    """Return the sets of the present baseline; for pulse echo, its first reading.
 
     Raises
     ------
     Problem
-        404: there is none yet.
+        404: there is no baseline yet.
     """
     if context.settings.positions[position].method == PULSE_ECHO:
         reading = catalogue.first_reading(position)
-        found = [] if reading is None else [reading.set_index]
+        set_indices = [] if reading is None else [reading.set_index]
     else:
-        its = planned(position, context.settings, catalogue.baseline(position))
+        plan = planned(position, context.settings, catalogue.baseline(position))
         assessments = catalogue.rows(
-            AssessmentRow, position=position, first_set=its.first_set, last_set=its.last_set
+            AssessmentRow, position=position, first_set=plan.first_set, last_set=plan.last_set
         )
-        found = [row.set_index for row in assessments if row.in_baseline]
-    if not found:
+        set_indices = [row.set_index for row in assessments if row.in_baseline]
+    if not set_indices:
         raise not_found(
             f"Position {position} has no baseline yet.",
             "Ask for volts; /api/v1/trends tells when it is recorded.",
         )
-    return found
+    return set_indices
 
 
 def _planes(picture: Picture, *, normalised: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Shape (2, rows, columns): the least and the greatest of each cell."""
+    """Return the minima and maxima of the cells, shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
     planes = np.stack([row.planes for row in picture.rows], axis=1)
     if normalised:
-        over = np.array([peak if peak > 0.0 else math.nan for peak in picture.peaks], dtype=np.float32)
-        planes = planes / over[None, :, None]
+        peaks = np.array([peak if peak > 0.0 else math.nan for peak in picture.peaks], dtype=np.float32)
+        planes = planes / peaks[None, :, None]
     return planes
 
 
 def _until_h(picture: Picture) -> list[float]:
-    """Give the hour at which each row ends: as if sets were due as often as around it."""
+    """Return the end of each row, h, with the set interval around it."""
     rows, ends, step_h = picture.rows, [], math.nan
-    for row, after in zip(rows, [*rows[1:], None][: len(rows)], strict=True):
-        if after is not None:
-            step_h = (after.first_h - row.last_h) / (after.first_set - row.last_set)
+    for row, following in zip(rows, [*rows[1:], None][: len(rows)], strict=True):
+        if following is not None:
+            step_h = (following.first_h - row.last_h) / (following.first_set - row.last_set)
         elif row.last_set > row.first_set:
             step_h = (row.last_h - row.first_h) / (row.last_set - row.first_set)
         ends.append(row.last_h + (step_h if math.isfinite(step_h) else 1.0))
     return ends
 
 
-def _listed(plane: np.ndarray[Any, np.dtype[np.float32]]) -> list[list[float | None]]:
+def _nested_lists(plane: np.ndarray[Any, np.dtype[np.float32]]) -> list[list[float | None]]:
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -1,4 +1,4 @@
-"""`/api/v1/waveforms`: stored records in volts, and the live picture by GET and WebSocket."""
+"""`/api/v1/waveforms`: stored waveforms in volts, and live figures by GET and WebSocket."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OCTET_STREAM = "application/octet-stream"
 NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
-"""Also where no picture comes."""
+"""Interval of checks of the token, also without a new figure."""
 ERRORS = problems(404, 422, 503)
 UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -45,8 +45,8 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
     responses={200: {"content": {OCTET_STREAM: _BINARY}}, **ERRORS},
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
-    """Return the live picture: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
-    path = context.data_folder / "live" / f"{context.known(position)}.bin"
+    """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
+    path = context.data_folder / "live" / f"{context.checked_position(position)}.bin"
     try:
         content = read_shared(path)
     except FileNotFoundError:
@@ -94,25 +94,25 @@ def get_waveform(
         ),
     ] = None,
 ) -> Response:
-    """Read one stored record, of a repeated shot the accepted one; pulse-echo records have shot index 0."""
-    context.known(position)
+    """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
+    context.checked_position(position)
     catalogue = context.catalogue()
     shots = catalogue.rows(ShotRow, position=position, set_index=set_index)
     row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
-    its_set = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
-    if row is None or its_set is None or its_set.file is None:
+    set_row = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
+    if row is None or set_row is None or set_row.file is None:
         raise not_found(
             f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
     headers: dict[str, str] = {}
-    if form != "json" and its_set.file_sha256 is not None:  # JSON tells the age, too
-        etag = f'"{its_set.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
-        headers, known = unchanged(request, etag)
-        if known is not None:
-            return known
+    if form != "json" and set_row.file_sha256 is not None:  # JSON also has the age
+        etag = f'"{set_row.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
+        headers, not_modified = unchanged(request, etag)
+        if not_modified is not None:
+            return not_modified
     try:
-        waveform = context.archive.read_waveform(SetReference(its_set.file), position, shot_index)
+        waveform = context.archive.read_waveform(SetReference(set_row.file), position, shot_index)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'
@@ -132,8 +132,8 @@ def get_waveform(
         )
     time_s, voltage_v = waveform.time_s(), waveform.volts()
     if points is not None and points < time_s.size:
-        kept = extremes_per_bin(voltage_v, points)
-        time_s, voltage_v = time_s[kept], voltage_v[kept]
+        indices = extremes_per_bin(voltage_v, points)
+        time_s, voltage_v = time_s[indices], voltage_v[indices]
     if form == "npy":
         buffer = io.BytesIO()
         np.save(buffer, np.stack([time_s, voltage_v]))
@@ -141,16 +141,16 @@ def get_waveform(
         return Response(buffer.getvalue(), media_type=NPY, headers=headers)
     fresh = context.freshness()
     quality = _quality(context, position, set_index, row.sequence)
-    place = with_utc({"due_h": its_set.due_h}, fresh.epoch_utc_ns)
+    due = with_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(
         {
             "position": position,
-            "method": its_set.method,
+            "method": set_row.method,
             "set_index": set_index,
             "shot_index": shot_index,
             "sequence": row.sequence,
             "utc": rfc3339(row.utc_ns),
-            **place,
+            **due,
             "valid": row.valid,
             "flags": row.flags,
             "quality": quality,
@@ -161,15 +161,15 @@ def get_waveform(
             "time_s": np.ascontiguousarray(time_s),
             "voltage_v": np.ascontiguousarray(voltage_v),
             "as_of": fresh.as_of(),
-            "age_h": fresh.age_h(its_set.due_h),
+            "age_h": fresh.age_h(set_row.due_h),
         }
     )
 
 
 def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
-    """Find the least and the greatest value of each of ``points // 2`` equal bins, in order.
+    """Return the indices of the minimum and maximum of each of ``points // 2`` equal bins, in order.
 
-    A chart as wide as the bins looks the same as with all samples: no peak is lost.
+    No peak is lost: a chart with one pixel per bin looks the same as with all samples.
 
     Returns
     -------
@@ -177,17 +177,17 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
         Strictly increasing; a bin whose extremes coincide gives one index.
     """
     edges = np.linspace(0, values.size, points // 2 + 1).astype(np.intp)
-    kept = [
+    indices = [
         start + extreme
         for start, stop in itertools.pairwise(edges.tolist())
         if stop > start
         for extreme in (int(values[start:stop].argmin()), int(values[start:stop].argmax()))
     ]
-    return np.unique(np.asarray(kept, dtype=np.intp))
+    return np.unique(np.asarray(indices, dtype=np.intp))
 
 
 def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
-    """Quality of the features, or of the thickness, that a record gave."""
+    """Return the quality of the features or the thickness of a record."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
     rows = context.catalogue().rows(kind, position=position, set_index=set_index)
     return next((row.quality for row in rows if row.sequence == sequence), None)
@@ -200,10 +200,10 @@ async def live_waveforms(
     person: PersonOf,
     positions: Annotated[str | None, Query(max_length=400)] = None,
 ) -> None:
-    """Send the newest picture of each chosen position (`positions=B,C`; absent: all) when it changes.
+    """Send the newest figure of each selected position (`positions=B,C`; absent: all) when it changes.
 
     Each binary message is one live file's bytes; a text message is a heartbeat (``interval_s``), sent where
-    none comes. Only the newest is ever sent: a slow client misses pictures. The guard has checked the Origin
+    none comes. Only the newest is sent: a slow client misses figures. The guard has checked the Origin
     before.
     """
     known = context.settings.positions
@@ -218,7 +218,7 @@ async def live_waveforms(
     seen = dict.fromkeys(chosen, 0)
     beat_s, sent_s = context.hub.heartbeat_interval_s, time.monotonic()
     try:
-        while not left.done() and not live.closed and context.doors.stands(person):
+        while not left.done() and not live.closed and context.access_policy.may_stay(person):
             newer: dict[str, Picture] = live.newer(seen)
             for position, picture in newer.items():
                 seen[position], sent_s = picture.version, time.monotonic()
@@ -244,6 +244,6 @@ async def live_waveforms(
 
 
 async def _until_left(websocket: WebSocket) -> None:
-    """Read until the client leaves; what it says does not matter."""
+    """Read and ignore messages until the client leaves."""
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass

@@ -1,1 +1,1 @@
-"""What is pushed: events to many clients, live pictures of shots."""
+"""Streams: events for many clients, and live figures of shots."""

@@ -1,4 +1,4 @@
-"""What a thread follows and streams wait for: its start and end, and the wake-up of all who wait."""
+"""Base of threads that follow a source, with a wake-up for waiting streams."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Followed:
-    """A thread that follows something, and a wake-up for those who wait for the next change.
+    """Thread that follows a source, and wakes up streams that wait for the next change.
 
     Everything but `_follow` runs on the event loop, so nothing needs a lock.
     """
@@ -23,19 +23,19 @@ class Followed:
         self.clients = 0
 
     async def start(self) -> None:
-        """Follow from now on."""
+        """Start the thread."""
         self._loop = asyncio.get_running_loop()
         self._thread = threading.Thread(target=self._follow, name=self._thread_name, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Let every client end; may be called again."""
+        """End every client; may be called again."""
         self._closed = True
         self._stop.set()
         self._wake()
 
     async def join(self) -> None:
-        """Wait for the following thread after `close`."""
+        """Wait for the end of the thread after `close`."""
         if self._thread is not None:
             await asyncio.to_thread(self._thread.join)
 
@@ -47,7 +47,7 @@ class Followed:
     async def changed(self) -> None:
         """Wait for the next change or the end."""
         if not self._closed:
-            # One for each who waits: of a shared future, whoever leaves would take it from all.
+            # One future per waiter: cancelling a shared one would cancel it for all.
             waiter = self._loop.create_future()
             self._waiting.append(waiter)
             await waiter

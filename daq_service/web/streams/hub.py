@@ -1,8 +1,8 @@
-"""Tails the catalogue's events in a thread and hands each, encoded once, to every stream.
+"""Hub that follows the events of the catalogue in a thread and encodes each once for all streams.
 
-A client is only a cursor: the id of the last event it got. It never owns a queue, so a slow one
-costs nothing; when the ring has moved past its cursor it is told so by a `gap` and skips. The ring is filled
-from the catalogue at the start, so that many clients who come back together read it once.
+A client is only a cursor: the id of its last event. It has no queue, so a slow one costs nothing; when the
+ring has moved past its cursor it gets a `gap` and skips. The ring is filled from the catalogue at the start,
+so that many simultaneous clients read the catalogue once.
 """
 
 from __future__ import annotations
@@ -21,21 +21,20 @@ from daq_service.web.streams.followed import Followed
 log = logging.getLogger(__name__)
 POLL_INTERVAL_S = 0.03
 RING_EVENTS = 5000
-"""So many of the newest are kept for clients that come back, twice as many at most."""
+"""Events kept for clients that reconnect; at most twice as many."""
 HEARTBEAT_INTERVAL_S = 15.0
 PAGE_EVENTS = 500
 TURNS = 16
-"""So many clients behind the newest event get a chunk before everybody else has been looked at."""
+"""Late clients that get a chunk before other requests get a turn."""
 TURN_S = 0.001
-"""Then the loop waits, so that threads of other answers get at the interpreter; one that only looks at others
-takes it back before they wake, for half a second on end."""
+"""Pause of the event loop after each turn, so that threads of other responses get the interpreter lock."""
 UNREADABLE_INTERVAL_S = 0.5
 """Pause after the catalogue could not be read: absent before the first record, or in trouble."""
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedEvent:
-    """One event as the bytes that go out."""
+    """Event as encoded bytes of the stream."""
 
     id: int
     topic: str
@@ -43,26 +42,26 @@ class EncodedEvent:
 
 
 class EventSource(Protocol):
-    """Where events come from."""
+    """Source of events."""
 
     def last_id(self) -> int | None:
-        """Id of the newest event; None while there is no catalogue."""
+        """Return the id of the newest event; None while there is no catalogue."""
         ...
 
     def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
-        """Events behind an id in order, as rows of the API."""
+        """Return the events after an id in order, as rows of the API."""
         ...
 
 
 def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
-    """Row to a frame of the stream (WHATWG HTML, server-sent events)."""
+    """Return a row as a frame of the stream (WHATWG HTML, server-sent events)."""
     data = orjson.dumps(row)
     frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)
     return EncodedEvent(row["id"], row["topic"], frame)
 
 
 class EventHub(Followed):
-    """The newest events in memory, and a wake-up for all who wait for the next one or the heartbeat."""
+    """Ring of the newest events, with a wake-up for the next event or heartbeat."""
 
     def __init__(
         self,
@@ -83,33 +82,33 @@ class EventHub(Followed):
         self._heartbeat: asyncio.TimerHandle | None = None
 
     async def start(self) -> None:
-        """Tail from now on."""
+        """Start to follow events and to send heartbeats."""
         await super().start()
         self._beat()
 
     def close(self) -> None:
-        """Let every stream say `bye` and end; may be called again."""
+        """End every stream with `bye`; may be called again."""
         super().close()
         if self._heartbeat is not None:
             self._heartbeat.cancel()
 
     @property
     def complete_after(self) -> int | None:
-        """The ring holds every event with a greater id; None until the tail has begun."""
+        """Id after which the ring is complete; None until the thread has started."""
         return self._complete_after
 
     @property
     def last_id(self) -> int:
-        """Id of the newest event known here."""
+        """Return the id of the newest event in the ring."""
         return self._events[-1].id if self._events else (self._complete_after or 0)
 
     def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
-        """Events of the ring behind an id, the oldest ``limit`` of them."""
+        """Return the oldest ``limit`` events of the ring after an id."""
         first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
         return self._events[first : None if limit is None else first + limit]
 
-    async def turn(self) -> None:
-        """Let live events and other requests come first for a moment."""
+    async def yield_turn(self) -> None:
+        """Give way to live events and other requests for a moment."""
         async with self._turns:
             await asyncio.sleep(TURN_S)
 
@@ -129,19 +128,19 @@ class EventHub(Followed):
             del self._events[: -self._ring_events]
         self._wake()
 
-    def _stored(self, event_id: int, last: int) -> list[EncodedEvent]:
-        """Events of the catalogue behind an id, at least until the last one."""
-        found: list[EncodedEvent] = []
+    def _read_stored(self, event_id: int, last: int) -> list[EncodedEvent]:
+        """Return the events of the catalogue after an id, at least until the last one."""
+        events: list[EncodedEvent] = []
         while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
-            found += map(encode_event, rows)
+            events += map(encode_event, rows)
             event_id = rows[-1]["id"]
-        return found
+        return events
 
     def _follow(self) -> None:
-        """Body of the thread: poll, encode, pass to the loop."""
+        """Poll and encode events, and pass them to the event loop (body of the thread)."""
         last: int | None = None
         began = False
-        trouble = ""
+        last_error = ""
         while not self._stop.is_set():
             pause_s = self._poll_interval_s
             try:
@@ -155,18 +154,18 @@ class EventHub(Followed):
                         last = 0
                     else:
                         first = max(0, last - self._ring_events)
-                        kept = self._stored(first, last)
-                        self._pass_on(self._begin, first, kept)
-                        last = kept[-1].id if kept else last
+                        stored = self._read_stored(first, last)
+                        self._pass_on(self._begin, first, stored)
+                        last = stored[-1].id if stored else last
                 else:
                     rows = self._source.after(last, PAGE_EVENTS)
                     if rows:
                         last = rows[-1]["id"]
                         self._pass_on(self._append, [encode_event(row) for row in rows])
                         pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
-                trouble = ""
+                last_error = ""
             except Exception as error:  # noqa: BLE001 - without this thread no page has news
-                if repr(error) != trouble:
+                if repr(error) != last_error:
                     log.warning("cannot read events: %s", error)
-                trouble, pause_s = repr(error), UNREADABLE_INTERVAL_S
+                last_error, pause_s = repr(error), UNREADABLE_INTERVAL_S
             self._stop.wait(pause_s)

@@ -1,6 +1,6 @@
-"""Follows the files `live/<position>.bin` and keeps the newest picture of each position.
+"""Live figures: follows the files `live/<position>.bin` and keeps the newest figure of each position.
 
-Only the newest: whoever is slow or hidden misses pictures, never events.
+Only the newest is kept: slow or hidden clients miss figures, but never events.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ POLL_INTERVAL_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Bytes of a live file; `version` grows with every replacement seen."""
+    """Content of a live file; `version` increases with every change."""
 
     version: int
     content: bytes
 
 
 class LiveFigures(Followed):
-    """The newest picture of each position, and a wake-up for those who wait for the next."""
+    """Newest figure of each position, with a wake-up for the next one."""
 
     def __init__(
         self, folder: Path, positions: Collection[str], *, poll_interval_s: float = POLL_INTERVAL_S
@@ -40,7 +40,7 @@ class LiveFigures(Followed):
         self._pictures: dict[str, Picture] = {}
 
     def newer(self, seen: Mapping[str, int]) -> dict[str, Picture]:
-        """Pictures of the positions in ``seen`` that are newer than the version seen there."""
+        """Return the figures of the positions in ``seen`` that are newer than the version there."""
         return {
             position: picture
             for position, version in seen.items()
@@ -52,7 +52,7 @@ class LiveFigures(Followed):
         self._wake()
 
     def _follow(self) -> None:
-        """Body of the thread: look at the files' marks, read what changed."""
+        """Check the marks of the files, and read changed ones (body of the thread)."""
         seen: dict[str, tuple[int, int, int]] = {}
         version = 0
         while not self._stop.is_set():
@@ -76,7 +76,7 @@ class LiveFigures(Followed):
 
 
 def decode_header(content: bytes) -> dict[str, Any]:
-    """JSON header of a picture.
+    """Return the JSON header of a live figure.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def decode_header(content: bytes) -> dict[str, Any]:
 
 
 def unreadable_picture(why: str) -> Problem:
-    """Return the answer where a picture is there and cannot be shown."""
+    """Return the problem that a live figure is unreadable (503)."""
     return Problem(
         503,
         "storage-unavailable",

@@ -1,1 +1,1 @@
-"""Tables as files: which there are, their rows in pages, and the formats; for routes and the command line."""
+"""Export of tables as files: tables, rows in pages, and formats, for routes and command line."""

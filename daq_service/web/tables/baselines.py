@@ -1,4 +1,4 @@
-"""Baselines as others get them: each with its hours, and the first of a position also while it collects."""
+"""Published baselines: with their hours, and the first of a position also while it collects."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from hardware_drivers.methods import SOLITARY_WAVE
 def published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
 ) -> list[tuple[BaselineRow, dict[str, Any]]]:
-    """Tell each position's baselines (None: of all), the newest last, and what stands beside each row."""
+    """Return the baselines of a position (None: of all), the newest last, each with extra columns."""
     rows = catalogue.rows(BaselineRow, position=position)
-    begun = {row.position for row in rows}
+    positions_with_baseline = {row.position for row in rows}
     rows += [
         first_one(name, settings, epoch_utc_ns)
         for name, place in settings.positions.items()
-        if place.method == SOLITARY_WAVE and name not in begun and position in (None, name)
+        if place.method == SOLITARY_WAVE and name not in positions_with_baseline and position in (None, name)
     ]
     hours = due_hours(settings.schedule.phases)
     # Baselines of many positions have the same sets: their environment is read once.
@@ -44,7 +44,7 @@ def published_baselines(
 
 def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     first, last = row.first_set_index, row.last_set_index
-    told = catalogue.columns(
+    columns = catalogue.columns(
         FeatureRow,
         ["quality", *FEATURE_NAMES],
         position=row.position,
@@ -54,12 +54,12 @@ def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     )
     return sum(
         quality != "bad" and None not in values
-        for quality, *values in zip(*(told[name] for name in ("quality", *FEATURE_NAMES)), strict=True)
+        for quality, *values in zip(*(columns[name] for name in ("quality", *FEATURE_NAMES)), strict=True)
     )
 
 
 def _temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
-    """Least and greatest temperature around some sets; None: none was measured."""
+    """Return the minimum and maximum temperature around sets; None: none was measured."""
     around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
-    found = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
-    return [min(found), max(found)] if found else None
+    measured_c = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
+    return [min(measured_c), max(measured_c)] if measured_c else None

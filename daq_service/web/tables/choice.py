@@ -1,4 +1,4 @@
-"""Which tables there are, and the rows that somebody chose of one, a page at a time."""
+"""Exportable tables, and the selection of their rows and columns in pages."""
 
 from __future__ import annotations
 
@@ -37,53 +37,58 @@ ALWAYS = (
     *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "severity", "state"),
     *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )
-"""What tells rows apart, and how good their numbers are: these are never left out."""
+"""Columns that identify rows and state their quality: these are always exported."""
 
 Columns = Mapping[str, list[Any]]
-"""Values of a page by column, as JSON has them, what is nested as JSON text; None: not available."""
+"""Values of a page by column, nested ones as JSON text; None: not available."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableKind:
-    """A table that can be exported; ``beside_the_plan``: confirmation sets have rows in it too."""
+    """Exportable table; ``unscheduled_set``: it also has rows of confirmation sets."""
 
     row: type[Row]
-    told: str
+    description: str
     fixed: Filters
     unscheduled_set: bool = False
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """All of its columns."""
+        """All columns of the table."""
         return described_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
     "sets": TableKind(
-        row=SetRow, told="Planned sets and what became of them", fixed={}, unscheduled_set=True
+        row=SetRow, description="Planned sets and what became of them", fixed={}, unscheduled_set=True
     ),
     "features": TableKind(
-        row=FeatureRow, told="Features of sets", fixed={"scope": "set"}, unscheduled_set=True
+        row=FeatureRow, description="Features of sets", fixed={"scope": "set"}, unscheduled_set=True
     ),
     "shot_features": TableKind(
-        row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}, unscheduled_set=True
+        row=FeatureRow, description="Features of single shots", fixed={"scope": "shot"}, unscheduled_set=True
     ),
     "verdicts": TableKind(
-        row=AssessmentRow, told="Squared distances, limits and outliers", fixed={}, unscheduled_set=True
+        row=AssessmentRow,
+        description="Squared distances, limits and outliers",
+        fixed={},
+        unscheduled_set=True,
     ),
-    "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
-    "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
+    "thickness": TableKind(row=ThicknessRow, description="Pulse-echo results", fixed={}),
+    "environment": TableKind(row=EnvironmentRow, description="Supply and climate around each set", fixed={}),
     "baselines": TableKind(
-        row=BaselineRow, told="Baselines of every position: life, readiness, limits", fixed={}
+        row=BaselineRow, description="Baselines of every position: life, readiness, limits", fixed={}
     ),
-    "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
-    "annotations": TableKind(row=AnnotationRow, told="What people noted of hours of the test", fixed={}),
+    "alarms": TableKind(row=AlarmRow, description="Alarms with their proofs", fixed={}),
+    "annotations": TableKind(
+        row=AnnotationRow, description="What people noted of hours of the test", fixed={}
+    ),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """Rows and columns of a table; ``from_h`` is included, ``to_h`` is not, None is open."""
+    """Selected rows and columns of a table; ``from_h`` is included, ``to_h`` is not, None is open."""
 
     table: str
     position: str | None = None
@@ -94,19 +99,19 @@ class Choice:
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """Columns that were chosen, in the order of the table."""
-        every = TABLES[self.table].columns
-        wanted = {column.name for column in every} if self.fields is None else {*self.fields, *ALWAYS}
-        return tuple(column for column in every if column.name in wanted)
+        """Selected columns, in the order of the table."""
+        all_columns = TABLES[self.table].columns
+        wanted = {column.name for column in all_columns} if self.fields is None else {*self.fields, *ALWAYS}
+        return tuple(column for column in all_columns if column.name in wanted)
 
     @property
     def name(self) -> str:
-        """Name of a file of it, without ending."""
-        of_plan = self.purpose == "planned"
-        return "_".join(filter(None, (self.table, self.position, None if of_plan else self.purpose)))
+        """Name of the exported file, without suffix."""
+        is_planned = self.purpose == "planned"
+        return "_".join(filter(None, (self.table, self.position, None if is_planned else self.purpose)))
 
 
-def chosen(
+def check_choice(
     table: str,
     *,
     position: str | None = None,
@@ -115,13 +120,13 @@ def chosen(
     fields: str | None = None,
     purpose: Purposes = "planned",
 ) -> Choice:
-    """Check what somebody asks for; ``fields`` are names with commas between.
+    """Check and return a selection; ``fields`` are comma-separated names.
 
     Raises
     ------
     UsageError
-        There is no such table or field, the table has no positions or no sets beside the plan, or the range
-        is upside down.
+        There is no such table or field, the table has no positions or no unscheduled sets, or the range is
+        reversed.
     """
     if table not in TABLES:
         raise UsageError(f"there is no table {table!r}; choose from {', '.join(TABLES)}")
@@ -129,9 +134,9 @@ def chosen(
     if position is not None and "position" not in known:
         raise UsageError(f"the table {table} has no positions; leave the position out")
     if purpose != "planned" and not TABLES[table].unscheduled_set:
-        beside = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
+        other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
         raise UsageError(
-            f"the table {table} has no sets beside the plan, {beside} have; leave the purpose out"
+            f"the table {table} has no sets beside the plan, {other_tables} have; leave the purpose out"
         )
     if from_h is not None and to_h is not None and to_h < from_h:
         raise UsageError(f"the range ends at {to_h:g} h, before {from_h:g} h; let it end later")
@@ -145,61 +150,65 @@ def chosen(
 
 
 def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
-    """Read what was chosen, `PAGE_ROWS` rows at a time, in the order of the table; at least one page.
+    """Yield the selected rows in pages of `PAGE_ROWS`, in the order of the table; at least one page.
 
-    Alarms are told as they stand at the moment of ``fresh``, as everywhere else.
+    Alarms are in their state at the moment of ``fresh``.
     """
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
     if kind.row is BaselineRow:
         settings = stored_settings(experiment.configuration)
-        told = [
-            with_parts(BaselineRow, with_utc({**values(row), **beside}, experiment.epoch_utc_ns))
-            for row, beside in published_baselines(
+        rows_json = [
+            with_parts(BaselineRow, with_utc({**values(row), **extra_columns}, experiment.epoch_utc_ns))
+            for row, extra_columns in published_baselines(
                 catalogue, settings, experiment.epoch_utc_ns, choice.position
             )
-            if _inside(choice, beside["from_h"], beside["to_h"])
+            if _is_inside(choice, extra_columns["from_h"], extra_columns["to_h"])
         ]
-        yield _by_column(told, names)
+        yield _by_column(rows_json, names)
         return
-    asked: Filters = {**kind.fixed, "position": choice.position}
+    filters: Filters = {**kind.fixed, "position": choice.position}
     if kind.unscheduled_set:
-        asked |= {"purpose": choice.purpose}
+        filters |= {"purpose": choice.purpose}
     by_set = kind.row is not AlarmRow
     if by_set:
-        asked |= {"first_h": choice.from_h, "last_h": last_inside(choice.to_h)}
+        filters |= {"first_h": choice.from_h, "last_h": last_hour_inside(choice.to_h)}
     is_first = True
     while True:
-        rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
+        rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
         if rows or is_first:
-            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row.raised_h, row.raised_h)]
+            selected: list[Any] = [
+                row for row in rows if by_set or _is_inside(choice, row.raised_h, row.raised_h)
+            ]
             if not by_set:
-                kept = list(map(fresh.standing, kept))
-            told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
+                selected = list(map(fresh.standing, selected))
+            rows_json = [with_utc(values(row), experiment.epoch_utc_ns) for row in selected]
             if kind.row is AssessmentRow:
                 methods = {
                     name: place["method"] for name, place in experiment.configuration["positions"].items()
                 }
-                for row, quality in zip(told, assessed_qualities(catalogue, methods, kept), strict=True):
+                for row, quality in zip(
+                    rows_json, assessed_qualities(catalogue, methods, selected), strict=True
+                ):
                     row["quality"] = quality
             if kind.row is AlarmRow:
                 baselines = catalogue.baselines_by_id()
-                for row, alarm in zip(told, kept, strict=True):
+                for row, alarm in zip(rows_json, selected, strict=True):
                     row["proof_sentences"] = proof_sentences(alarm, baselines)
-            yield _by_column([with_parts(kind.row, row) for row in told], names)
+            yield _by_column([with_parts(kind.row, row) for row in rows_json], names)
         if len(rows) < PAGE_ROWS:
             return
-        asked["after_id"] = rows[-1].id
+        filters["after_id"] = rows[-1].id
         is_first = False
 
 
-def last_inside(to_h: float | None) -> float | None:
-    """Greatest hour before the end of a range, as the catalogue wants it."""
+def last_hour_inside(to_h: float | None) -> float | None:
+    """Return the last hour before the end of a range, for the catalogue."""
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
-def _inside(choice: Choice, first_h: float, last_h: float) -> bool:
-    """Tell whether any of these hours was chosen."""
+def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
+    """Return whether a range of hours overlaps the selection."""
     return (choice.from_h is None or last_h >= choice.from_h) and (
         choice.to_h is None or first_h < choice.to_h
     )

@@ -1,4 +1,4 @@
-"""An export as a whole: the bytes of a choice in a format, with the facts of where they come from."""
+"""Complete export: the bytes of a selection in a format, with facts about its origin."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from daq_service.web.tables.formats import FORMATS, Facts
 def exported(
     catalogue: Catalogue, fresh: Freshness, choice: Choice, form: str, *, most_rows: int | None = None
 ) -> Iterator[bytes]:
-    """Give the bytes of a file in parts; streamed formats read a page for each part.
+    """Return the bytes of a file in parts; streamed formats read a page for each part.
 
     Parameters
     ----------
     form
         One of `formats.FORMATS`.
     most_rows
-        Limit of formats that hold all rows; None: as many as there are.
+        Limit for formats that hold all rows; None: no limit.
 
     Raises
     ------
@@ -59,14 +59,14 @@ def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Col
 
 
 def facts_of(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
-    """Tell of which test and moment a file is, beside what it is about."""
+    """Return the facts of a file: test, time and recorder, plus ``about``."""
     return {
         **about,
         "test": experiment.name,
         "epoch_utc": format_utc(experiment.epoch_utc_ns),
         "now_utc": format_utc(fresh.now_utc_ns),
         "now_h": fresh.now_h,
-        "recorder": fresh.recorder.word,
+        "recorder": fresh.recorder.status,
         "configuration_hash": experiment.configuration_hash,
         "solimon_version": version("solimon"),
     }

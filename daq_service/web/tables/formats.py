@@ -41,7 +41,7 @@ Write = Callable[[Choice, Facts, Iterable[Columns]], Iterator[bytes]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """A kind of file; ``whole``: all rows are in memory while it is made."""
+    """File format; ``whole``: all rows are in memory while it is written."""
 
     media_type: str
     whole: bool
@@ -49,7 +49,7 @@ class Format:
 
 
 def facts_text(facts: Facts) -> str:
-    """Facts as JSON."""
+    """Return facts as JSON text."""
     return json.dumps(facts, sort_keys=True)
 
 
@@ -77,29 +77,29 @@ def _cell(value: Any) -> str:
 
 
 class _Drain(io.RawIOBase):
-    """Takes what a writer writes; hands it on between two pages."""
+    """Buffer between a writer and the response, emptied after each page."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
         self._place = 0
 
     def writable(self) -> bool:
-        """Say so."""
+        """Return True."""
         return True
 
     def write(self, content: Any) -> int:
-        """Keep some bytes."""
+        """Append bytes to the buffer."""
         n_bytes = len(memoryview(content).cast("B"))
         self._waiting += content
         self._place += n_bytes
         return n_bytes
 
     def tell(self) -> int:
-        """Bytes so far."""
+        """Return the number of bytes written so far."""
         return self._place
 
     def taken(self) -> bytes:
-        """Everything since the last call."""
+        """Return and clear the bytes since the last call."""
         content = bytes(self._waiting)
         self._waiting.clear()
         return content
@@ -130,26 +130,26 @@ def _arrow_like(kind: str) -> Write:
 
 
 def arrow_field(arrow: Any, column: PublishedColumn) -> Any:
-    """Field of a column, with its unit."""
+    """Return the Arrow field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
 def arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
-    """Values of a column; None is null."""
+    """Return the values of a column as Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
 
 
 def pyarrow() -> Any:
-    """Import the package, where it is installed.
+    """Import and return the package pyarrow.
 
     Raises
     ------
     UsageError
-        It is not.
+        The package is not installed.
     """
     try:
         import pyarrow as arrow
@@ -162,14 +162,14 @@ def pyarrow() -> Any:
 
 
 def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
-    """All rows as an array a column."""
+    """Return all rows as one array per column."""
     parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
 def as_array(column: PublishedColumn, values: list[Any]) -> NDArray[Any]:
-    """Give values of a column as an array that has a value for "not available"."""
+    """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if column.form in ("integer", "truth"):
@@ -200,7 +200,7 @@ def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
 
 def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str], facts: Facts) -> bytes:
     """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
-    # Brings SciPy along, half a second that a starting service does not need.
+    # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat
 
     content = io.BytesIO()
@@ -241,7 +241,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def available() -> list[str]:
-    """Name the formats that this installation can write."""
+    """Return the formats that this installation can write."""
     from importlib.util import find_spec
 
     return [name for name in FORMATS if name not in ("parquet", "arrow") or find_spec("pyarrow")]

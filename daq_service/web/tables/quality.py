@@ -1,4 +1,4 @@
-"""Quality of what a verdict judged: it stands with the feature or the thickness."""
+"""Quality of assessed values, stored with the feature or the thickness."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from hardware_drivers.methods import Method
 def assessed_qualities(
     catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[AssessmentRow]
 ) -> list[str | None]:
-    """Give the quality beside each verdict; ``methods`` are those of the positions."""
+    """Return the quality of each assessed set; ``methods`` are those of the positions."""
     if not rows:
         return []
     hours, positions = [row.due_h for row in rows], {row.position for row in rows}
-    found: dict[tuple[str, int], str] = {}
+    qualities: dict[tuple[str, int], str] = {}
     for method in {methods[position] for position in positions}:
-        judged = METHODS[method]
+        measurement = METHODS[method]
         filters: Filters = {
             "position": None if len(positions) > 1 else rows[0].position,
             "first_h": min(hours),
             "last_h": max(hours),
             "purpose": None if all(row.set_index < PLANNED_SETS for row in rows) else "any",
-            **judged.of_sets,
+            **measurement.of_sets,
         }
-        columns = catalogue.columns(judged.row, ("position", "set_index", "quality"), **filters)
+        columns = catalogue.columns(measurement.row, ("position", "set_index", "quality"), **filters)
         keys = zip(columns["position"], columns["set_index"], strict=True)
-        found |= zip(keys, columns["quality"], strict=True)
-    return [found.get((row.position, row.set_index)) for row in rows]
+        qualities |= zip(keys, columns["quality"], strict=True)
+    return [qualities.get((row.position, row.set_index)) for row in rows]

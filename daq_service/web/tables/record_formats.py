@@ -1,4 +1,4 @@
-"""Files of records; an array in volts of a row a record, beside a column of each fact (`records.OF_RECORD`).
+"""Files of waveforms: an array in volts with a row per record, and a column per fact (`records.OF_RECORD`).
 
 ============ ===========================================================================================
 csv          a column a record, for spreadsheets: time, then ``set_3_shot_0_good_v``; it has no facts
@@ -63,8 +63,8 @@ def exported_records(
 def _csv(records: RecordSlice, facts: Facts) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text)
-    told = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
-    names = [f"set_{index}_shot_{shot}_{quality or 'unknown'}_v" for index, shot, quality in told]
+    keys = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
+    names = [f"set_{index}_shot_{shot}_{quality or 'unknown'}_v" for index, shot, quality in keys]
     writer.writerow(["time_s", *names])
     rows = np.ascontiguousarray(np.vstack([records.time_s, records.voltage_v]).T)
     # JSON has every digit, too, and takes a tenth of the time of `csv`; NaN, its null, is an empty cell.

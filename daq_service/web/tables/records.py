@@ -1,4 +1,4 @@
-"""Stored records of a position over some sets, as one array in volts with what is known of each."""
+"""Stored waveforms of a position over some sets, as one array in volts with facts of each."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import SetRow, ShotRow
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hours
-from daq_service.web.tables.choice import Columns, last_inside
+from daq_service.web.tables.choice import Columns, last_hour_inside
 from hardware_drivers.measurement import Waveform
 
 MOST_SETS = 100_000
-"""Rows that are looked at before anybody knows how long a record is."""
+"""Limit of sets before the length of a record is known."""
 BYTES_A_SAMPLE = 8
 
 
@@ -38,16 +38,16 @@ OF_RECORD = (
     *(_column("readable", "truth"), _column("sample_rate_hz", "number", "Hz")),
     _column("pretrigger_samples", "integer"),
 )
-"""What is told of each record; one that is not ``readable`` any more has no volts."""
+"""Columns of each record; an unreadable one has no volts."""
 
 
 class NoRecordError(UsageError):
-    """Nothing is stored there."""
+    """No record is stored in the selected sets."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordChoice:
-    """Which records; ``from_h`` is included, ``to_h`` is not, both ends of the sets are; None is open."""
+    """Selected records; ``from_h`` is included, ``to_h`` is not, both set indices are; None is open."""
 
     position: str
     from_h: float | None = None
@@ -62,7 +62,7 @@ class RecordChoice:
 
     @property
     def name(self) -> str:
-        """Name of a file of it, without ending."""
+        """Name of the exported file, without suffix."""
         sets = [f"{index:06d}" for index in (self.first_set, self.last_set) if index is not None]
         return "_".join(["waveforms", self.position, *dict.fromkeys(sets)])
 
@@ -74,11 +74,11 @@ class RecordSlice:
     Attributes
     ----------
     columns
-        A value a record of each of `OF_RECORD`.
+        One value per record for each of `OF_RECORD`.
     time_s : ndarray of float64, shape (samples,)
         From the trigger.
     voltage_v : ndarray of float64, shape (records, samples)
-        NaN throughout where a record cannot be read any more.
+        NaN throughout where a record is unreadable.
     """
 
     columns: Columns
@@ -94,25 +94,25 @@ def read_slice(
     Raises
     ------
     NoRecordError
-        None is stored there, or none can be read.
+        No record is stored there, or none can be read.
     UsageError
-        They come to more than ``most_bytes`` as volts, or differ in length or rate.
+        They need more than ``most_bytes`` as volts, or differ in length or rate.
     """
-    asked: Filters = {
+    filters: Filters = {
         "position": choice.position,
         "first_set": choice.first_set,
         "last_set": choice.last_set,
         "first_h": choice.from_h,
-        "last_h": last_inside(choice.to_h),
+        "last_h": last_hour_inside(choice.to_h),
     }
-    found = catalogue.rows(SetRow, limit=MOST_SETS + 1, **asked)
-    sets = {row.set_index: row for row in found if row.file is not None}
+    rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **filters)
+    sets = {row.set_index: row for row in rows if row.file is not None}
     if not sets:
         raise NoRecordError(f"no record of position {choice.position} is stored in these sets; look at sets")
-    if len(found) > MOST_SETS:
+    if len(rows) > MOST_SETS:
         raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
-    n_most = sum(row.n_taken for row in sets.values())
-    # Already the first record tells whether all of them are too many: nothing else is read before.
+    n_records = sum(row.n_taken for row in sets.values())
+    # The first record shows whether all of them are too large: nothing else is read before.
     waveforms = _waveforms(archive, choice.position, sets)
     read_first = next(waveforms, None)
     if read_first is None:
@@ -120,27 +120,27 @@ def read_slice(
             f"no record of position {choice.position} in these sets can be read; solimon verify tells why"
         )
     _, first = read_first
-    if (n_bytes := n_most * first.counts.size * BYTES_A_SAMPLE) > most_bytes:
+    if (n_bytes := n_records * first.counts.size * BYTES_A_SAMPLE) > most_bytes:
         raise UsageError(
-            f"these are up to {n_most} records of {first.counts.size} samples, {n_bytes / 1e6:.0f} MB in "
+            f"these are up to {n_records} records of {first.counts.size} samples, {n_bytes / 1e6:.0f} MB in "
             f"volts, of at most {most_bytes / 1e6:.0f} MB at once; choose a shorter range, or take the whole "
             "test with solimon export --hdf5"
         )
-    asked |= {"first_set": min(sets), "last_set": max(sets), "first_h": None, "last_h": None}
+    filters |= {"first_set": min(sets), "last_set": max(sets), "first_h": None, "last_h": None}
     shots = [
-        row for row in catalogue.rows(ShotRow, **asked) if row.outcome == ACCEPTED and row.set_index in sets
+        row for row in catalogue.rows(ShotRow, **filters) if row.outcome == ACCEPTED and row.set_index in sets
     ]
     shots.sort(key=lambda row: (row.set_index, row.shot_index))
-    place = {row.sequence: number for number, row in enumerate(shots)}
+    row_of = {row.sequence: number for number, row in enumerate(shots)}
     voltage_v = np.full((len(shots), first.counts.size), np.nan)
     readable = [False] * len(shots)
     for sequence, waveform in chain([read_first], waveforms):
-        if sequence in place:
-            _refuse_other(choice.position, first, waveform)
-            voltage_v[place[sequence]] = waveform.volts()
-            readable[place[sequence]] = True
+        if sequence in row_of:
+            _check_same_sampling(choice.position, first, waveform)
+            voltage_v[row_of[sequence]] = waveform.volts()
+            readable[row_of[sequence]] = True
     method = METHODS[next(iter(sets.values())).method]
-    results = catalogue.columns(method.row, ("sequence", "quality"), **asked)
+    results = catalogue.columns(method.row, ("sequence", "quality"), **filters)
     quality = dict(zip(results["sequence"], results["quality"], strict=True))
     hours = [sets[row.set_index].due_h for row in shots]
     epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
@@ -166,7 +166,7 @@ def read_slice(
 def _waveforms(
     archive: FolderSetReader, position: str, sets: Mapping[int, SetRow]
 ) -> Iterator[tuple[int, Waveform]]:
-    """Read what can be read: sequence and record, a set's file at a time."""
+    """Yield sequence and waveform of each readable record, one set file at a time."""
     for row in sets.values():
         assert row.file is not None, "only such sets are asked for"
         try:
@@ -176,7 +176,7 @@ def _waveforms(
         yield from ((record.sequence, record.waveform) for record in records)
 
 
-def _refuse_other(position: str, first: Waveform, other: Waveform) -> None:
+def _check_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
     ):

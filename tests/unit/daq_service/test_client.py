@@ -18,7 +18,7 @@ from daq_service import client
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.published_columns import with_parts
 from daq_service.catalogue.rows import AssessmentRow
-from daq_service.client.connection import Connection, parsed
+from daq_service.client.connection import Connection, parse_events
 from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
 from daq_service.web.auth.tokens import create_token
@@ -271,7 +271,7 @@ def test_a_folder_is_read_though_its_service_is_reachable_from_elsewhere(tmp_pat
 
 def test_the_stream_s_heartbeats_and_goodbye_are_no_events():
     lines = [": heartbeat", "", "id: 7", "event: gap", 'data: {"after": 1}', "", "event: bye", "data: {}", ""]
-    assert list(parsed(iter(lines))) == [{"topic": "gap", "kind": "gap", "after": 1, "id": 7}]
+    assert list(parse_events(iter(lines))) == [{"topic": "gap", "kind": "gap", "after": 1, "id": 7}]
 
 
 HEAVY = (

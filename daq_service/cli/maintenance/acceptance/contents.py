@@ -124,7 +124,7 @@ def _notes(evidence: Evidence) -> list[str]:
         notes.append(
             "Simulated time: hours are those of the test; the wall time of the line is the computer's."
         )
-    if evidence.recorder.word == "running":
+    if evidence.recorder.status == "running":
         notes.append("The test goes on: this is how it stood when the certificate was made.")
     if evidence.verified is not None:
         notes += [f"verify, {item.file}: {item.told}" for item in evidence.verified.damage]

@@ -23,7 +23,7 @@ from daq_service.cli.forecast import built_set_bytes
 from daq_service.cli.maintenance.verify import Report
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.heartbeat import time_now_ns
-from daq_service.processes.recorder_state import FAREWELLS, RecorderState, look_at_recorder
+from daq_service.processes.recorder_state import FAREWELLS, RecorderState, read_recorder_state
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -106,9 +106,9 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         alarms = catalogue.rows(AlarmRow)
         accepted, flags = _records(catalogue)
     settings = stored_settings(experiment.configuration)
-    recorder = look_at_recorder(folder, [row.kind for row in service])
+    recorder = read_recorder_state(folder, [row.kind for row in service])
     is_copy = (folder / BACKUP_FILE).exists()
-    now_ns = _now_ns(experiment, sets, service, recorder, ended=is_copy or recorder.word in _ENDED)
+    now_ns = _now_ns(experiment, sets, service, recorder, ended=is_copy or recorder.status in _ENDED)
     planned = plan(settings.schedule.phases, experiment.epoch_utc_ns, end_h=settings.schedule.end_h)
     return Evidence(
         folder=folder,

@@ -16,7 +16,7 @@ from daq_service.cli.offline.evidence.changes import NOT_COMPARED
 from daq_service.cli.offline.evidence.explanation import Explained, Recomputed
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.clock import format_utc
-from daq_service.web.report.page import STYLE, plain, table
+from daq_service.web.report.page import STYLE, plain_text, table
 
 STATE = "averages"
 """Internal state of chart and diagnosis: only in the JSON."""
@@ -77,7 +77,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
 
 
 def facts_of(found: Explained) -> dict[str, Any]:
-    """Return all contents of the page, and the rows behind it, as plain values."""
+    """Return all contents of the page, and the rows behind it, as plain_text values."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
@@ -146,8 +146,8 @@ def _recomputation_section(found: Explained) -> list[str]:
             f"{one.table} {one.column}",
             str(one.n_rows),
             str(one.first_set_index),
-            plain(one.stored),
-            plain(one.again),
+            plain_text(one.stored),
+            plain_text(one.again),
         )
         for one in recomputed.differences
     ]
@@ -168,7 +168,9 @@ def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [
         (
             name,
-            plain({k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value),
+            plain_text(
+                {k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value
+            ),
         )
         for name, value in facts.items()
         if value is not None

@@ -83,7 +83,7 @@ def test_address_and_tokens_of_several_are_those_of_the_configuration_named_for_
     app, web, port = served.pop()
     assert (web.port, port) == (9000, None)
     assert context_of(app).data_folder == file.parent / "own"
-    assert context_of(app).doors.tokens_path == file.parent / "who.json"
+    assert context_of(app).access_policy.tokens_path == file.parent / "who.json"
 
 
 def test_a_service_of_several_that_others_reach_needs_a_token_of_its_own(served, tmp_path):

@@ -66,7 +66,7 @@ class Bench:
             self.clock.advance(0.5)
 
     def summary(self):
-        return summary(self.climate.added_to(self.drive.row(0, 0.0)))
+        return summary(self.climate.add_to_row(self.drive.row(0, 0.0)))
 
     def active(self):
         return {condition.name for condition in self.drive.conditions() if condition.active}
@@ -127,7 +127,7 @@ def test_the_summary_has_the_columns_of_the_catalogue(energised):
 
 
 def test_a_window_holds_the_readings_of_its_set(energised):
-    energised.drive.begin_window()
+    energised.drive.start_window()
     for current_a in (0.2, 0.5, 0.3):
         energised.supply.current_a = current_a
         energised.run(INTERVAL_S)
@@ -136,7 +136,7 @@ def test_a_window_holds_the_readings_of_its_set(energised):
     assert row["current_a"] == pytest.approx(1.0 / 3.0, rel=1e-12)  # rounding of a mean
     assert (row["voltage_v"], row["voltage_min_v"], row["voltage_max_v"]) == (10.0, 10.0, 10.0)
     assert (row["temperature_c"], row["relative_humidity"], row["climate_quality"]) == (21.5, 0.4, "good")
-    energised.drive.begin_window()
+    energised.drive.start_window()
     row = energised.summary()
     assert row["current_a"] is None
     assert row["current_max_a"] is None

@@ -13,8 +13,13 @@ from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
-from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action, own_supply
-from daq_service.corrosion_drive.supply_state import kept_now, look_at_drive, read_kept, write_kept
+from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, next_action, run_supply_process
+from daq_service.corrosion_drive.supply_state import (
+    read_stored_state,
+    read_supply_status,
+    stored_state_now,
+    write_stored_state,
+)
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
@@ -134,7 +139,7 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench: Bench) -> 
     bench.run(UNWATCHED_S)
     assert not bench.supply.on
     assert bench.process.leaves
-    kept = read_kept(bench.folder)
+    kept = read_stored_state(bench.folder)
     assert kept is not None
     assert (kept.output, kept.state.command) == ("off", None)
     assert kept.state.tripped is not None
@@ -172,13 +177,13 @@ def test_a_silent_supply_is_switched_off_before_the_process_ends(bench: Bench) -
     bench.supply.error = LOST
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
-    assert look_at_drive(bench.folder).state == "unknown"  # type: ignore[union-attr]
-    assert look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert read_supply_status(bench.folder).state == "unknown"  # type: ignore[union-attr]
+    assert read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
     bench.supply.error = None
     bench.run(60.0)
     assert not bench.supply.on
     assert bench.process.leaves
-    assert not look_at_drive(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert not read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
 
 
 def test_a_supply_without_power_after_the_switch_off_ends_the_process(bench: Bench) -> None:
@@ -200,7 +205,7 @@ def test_a_killed_process_keeps_the_interlock(bench: Bench) -> None:
 
 def test_a_killed_process_leaves_the_output_and_the_next_one_continues(bench: Bench) -> None:
     before = bench.ask()["row"]
-    bench.process.keep(at_once=True)
+    bench.process.store_state(at_once=True)
     bench.clock.advance(100.0)
     bench.restart()
     bench.run(60.0)
@@ -215,7 +220,7 @@ def test_a_killed_process_leaves_the_output_and_the_next_one_continues(bench: Be
 def test_a_restarted_process_counts_the_earlier_silence(bench: Bench) -> None:
     bench.ask()
     bench.run(UNWATCHED_S - 10.0)
-    bench.process.keep(at_once=True)
+    bench.process.store_state(at_once=True)
     bench.restart()
     bench.run(GRACE_S - 5.0)
     assert bench.supply.on, "a recorder that starts it has a moment to be heard"
@@ -271,7 +276,7 @@ def test_without_a_successor_that_reads_it_switches_off_itself(bench: Bench, suc
     bench.run(6.0, step_s=1.0)
     assert not bench.supply.on
     assert old.leaves
-    kept = read_kept(bench.folder)
+    kept = read_stored_state(bench.folder)
     assert kept is not None
     assert successor != "none" or (kept.state.command, kept.output) == (None, "off")
 
@@ -300,7 +305,7 @@ def test_before_a_successor_with_another_port_it_switches_off(bench: Bench) -> N
 @pytest.mark.parametrize("port", ["COM4", "COM5"])
 def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: Path, port: str) -> None:
     """The port may be wrong, and the next process may reach the supply."""
-    write_kept(tmp_path, kept_now(DriveState(must_switch_off=True), supply_port="COM7"))
+    write_stored_state(tmp_path, stored_state_now(DriveState(must_switch_off=True), supply_port="COM7"))
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(60.0)
@@ -311,7 +316,7 @@ def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path: 
 def test_the_process_ends_only_after_the_output_reads_off(bench: Bench) -> None:
     bench.supply.current_a = 0.95
     bench.run(0.5 * UNWATCHED_S)
-    kept = read_kept(bench.folder)
+    kept = read_stored_state(bench.folder)
     assert kept is not None
     assert (bench.process.leaves, kept.output) == (True, "off")
 
@@ -333,7 +338,7 @@ def test_a_full_disk_does_not_affect_the_supply_process(
     def full(*_: object) -> None:
         raise OSError("no space left on device")
 
-    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_kept", full)
+    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
     bench.ask()
     bench.run(UNWATCHED_S + 60.0)
     assert not bench.supply.on
@@ -350,15 +355,15 @@ def test_a_disk_that_hangs_delays_neither_interlock_nor_unwatched_limit(tmp_path
     bench.ask(**ON)
     bench.run(UNWATCHED_S + 10.0)
     assert not bench.supply.on
-    assert (len(jobs) > 1, read_kept(tmp_path)) == (True, None)
+    assert (len(jobs) > 1, read_stored_state(tmp_path)) == (True, None)
 
 
 def test_the_age_of_the_written_state_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError("no space left on device")
 
-    bench.process.keep(at_once=True)
-    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_kept", full)
+    bench.process.store_state(at_once=True)
+    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
     bench.run(50.0)
     assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
 
@@ -366,7 +371,7 @@ def test_the_age_of_the_written_state_is_reported(bench: Bench, monkeypatch: pyt
 def test_the_process_switches_the_supply_off_when_it_ends(bench: Bench) -> None:
     bench.process.end()
     assert not bench.supply.on
-    kept = read_kept(bench.folder)
+    kept = read_stored_state(bench.folder)
     assert kept is not None
     assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
 
@@ -385,7 +390,7 @@ def test_a_library_that_ends_the_process_does_not_leave_the_output_on(
     supply = EndsOnce(TestClock())
     supply.on = True
     with pytest.raises(type(ending)):
-        own_supply(
+        run_supply_process(
             PARAMETERS, tmp_path, lambda: nullcontext(supply), Event(), supply_port="COM4", stays=False
         )
     assert not supply.on
@@ -408,7 +413,7 @@ def test_a_supply_that_never_responded_is_given_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", ["", "{}", "[]", '{"state": {"charge": 7}}'])
 def test_a_state_that_cannot_be_read_counts_as_on(tmp_path: Path, content: str) -> None:
     (tmp_path / DRIVE_FILE).write_text(content, encoding="utf-8")
-    now = look_at_drive(tmp_path)
+    now = read_supply_status(tmp_path)
     assert (now is not None, now and now.switch_off_pending, now and now.state) == (True, True, "unknown")
     bench = Bench(tmp_path)
     bench.supply.on, bench.supply.error = True, LOST
@@ -423,7 +428,7 @@ def test_a_state_that_cannot_be_read_counts_as_on(tmp_path: Path, content: str) 
 def test_a_command_ends_when_no_process_ran_for_the_unwatched_limit(
     bench: Bench, away_s: float, on: bool
 ) -> None:
-    bench.process.keep(at_once=True)
+    bench.process.store_state(at_once=True)
     bench.clock.advance(away_s)
     bench.restart()
     bench.run(10.0)
@@ -449,14 +454,16 @@ def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
         (tmp_path / DRIVE_FILE).write_text(
             f'{{"state": {state % output_on}, {stored_fields}}}', encoding="utf-8"
         )
-        kept = read_kept(tmp_path)
+        kept = read_stored_state(tmp_path)
         assert kept is not None
         assert kept.state.command == command
         assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_unwatched"})
 
 
 def test_a_supply_that_is_on_is_never_given_up(tmp_path: Path) -> None:
-    write_kept(tmp_path, kept_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18))
+    write_stored_state(
+        tmp_path, stored_state_now(DriveState(command=Command()), boot_ns=10**18, heard_boot_ns=10**18)
+    )
     bench = Bench(tmp_path)
     bench.supply.error = LOST
     bench.run(2 * UNWATCHED_S)
@@ -473,10 +480,10 @@ def test_the_stored_state_reads_back_equal(tmp_path: Path) -> None:
         latched=frozenset({"a", "b"}),
         command=Command(voltage_v=5.0),
     )
-    kept = kept_now(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
-    write_kept(tmp_path, kept)
-    assert read_kept(tmp_path) == kept
-    assert read_kept(tmp_path / "absent") is None
+    kept = stored_state_now(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
+    write_stored_state(tmp_path, kept)
+    assert read_stored_state(tmp_path) == kept
+    assert read_stored_state(tmp_path / "absent") is None
 
 
 def moved(kept: Any, **changes: Any) -> Any:
@@ -496,9 +503,9 @@ def test_a_reader_gets_the_age_of_the_supply_state(
     tmp_path: Path, changes: Callable[[Any], dict[str, Any]], age_s: float
 ) -> None:
     assert boot_name() is not None
-    kept = kept_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
-    write_kept(tmp_path, replace(kept, **changes(kept)))
-    now = look_at_drive(tmp_path)
+    kept = stored_state_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
+    write_stored_state(tmp_path, replace(kept, **changes(kept)))
+    now = read_supply_status(tmp_path)
     assert now is not None
     assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late
     assert (now.state, now.quality, now.last, now.process) == ("unknown", "lost", "on", False)

@@ -10,13 +10,20 @@ import pytest
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.corrosion_drive.channel import HOST, Server, opened, sealed
+from daq_service.corrosion_drive.channel import HOST, Server, signed_line, verified_message
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.drive import Reply
 from daq_service.corrosion_drive.guard import DriveGuard
 from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, ENDS_WITHIN_S, RemoteDrive, answered_within_s
-from daq_service.corrosion_drive.supply_state import Address, Kept, kept_now, own_drive, read_kept, write_kept
+from daq_service.corrosion_drive.supply_state import (
+    Address,
+    StoredState,
+    hold_supply_lock,
+    read_stored_state,
+    stored_state_now,
+    write_stored_state,
+)
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
@@ -65,7 +72,7 @@ class Bench:
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
         self.process = DriveProcess(
-            lambda: own_drive(self.folder, address),
+            lambda: hold_supply_lock(self.folder, address),
             lambda: nullcontext(self.supply),
             PARAMETERS,
             self.folder,
@@ -111,7 +118,7 @@ class Bench:
 def bench(tmp_path: Path) -> Iterator[Bench]:
     bench = Bench(tmp_path)
     with bench.remote:
-        bench.remote.begin(DriveState())
+        bench.remote.take_over(DriveState())
         yield bench
     bench.is_killed()
 
@@ -323,7 +330,7 @@ class Guarded(Bench):
 
     def look(self, seconds: float) -> None:
         for _ in range(round(seconds)):
-            self.guard.look()
+            self.guard.check()
             self.pause(0.0)
             self.now_s += 1.0
 
@@ -341,25 +348,25 @@ def guarded(tmp_path: Path) -> Iterator[Guarded]:
     [
         (None, 0),
         (b"{torn", 1),
-        (kept_now(DriveState(command=Command()), output="on"), 1),
-        (kept_now(DriveState(must_switch_off=True), output="unknown"), 1),
-        (kept_now(DriveState(), output="off"), 0),
+        (stored_state_now(DriveState(command=Command()), output="on"), 1),
+        (stored_state_now(DriveState(must_switch_off=True), output="unknown"), 1),
+        (stored_state_now(DriveState(), output="off"), 0),
     ],
     ids=["never", "unreadable", "on", "pending", "off"],
 )
 def test_the_guard_starts_a_process_where_the_output_may_be_on(
-    guarded: Guarded, content: Kept | bytes | None, starts: int
+    guarded: Guarded, content: StoredState | bytes | None, starts: int
 ) -> None:
     if isinstance(content, bytes):
         (guarded.folder / DRIVE_FILE).write_bytes(content)
     elif content is not None:
-        write_kept(guarded.folder, content)
+        write_stored_state(guarded.folder, content)
     guarded.look(20.0)
     assert guarded.started == starts
 
 
 def test_the_guard_looks_again_at_an_output_that_was_off(guarded: Guarded) -> None:
-    write_kept(guarded.folder, kept_now(DriveState(), output="off"))
+    write_stored_state(guarded.folder, stored_state_now(DriveState(), output="off"))
     guarded.look(590.0)
     assert guarded.started == 0
     guarded.look(20.0)
@@ -391,9 +398,9 @@ def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) ->
 
 def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench: Bench) -> None:
     (bench.folder / "drive.json").unlink()
-    bench.remote.begin(DriveState(charge=Charge(coulomb=7.0)))
-    bench.remote.begin(DriveState(charge=Charge(coulomb=1.0)))
-    kept = read_kept(bench.folder)
+    bench.remote.take_over(DriveState(charge=Charge(coulomb=7.0)))
+    bench.remote.take_over(DriveState(charge=Charge(coulomb=1.0)))
+    kept = read_stored_state(bench.folder)
     assert kept is not None
     assert kept.state.charge.coulomb == 7.0
 
@@ -402,14 +409,14 @@ def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(b
 
 
 def test_a_message_is_decoded_only_with_its_key() -> None:
-    line = sealed(KEY, {"id": 1, "do": "look"})
-    assert opened(KEY, line) == {"id": 1, "do": "look"}
-    assert opened(b"other", line) is None
-    assert opened(KEY, line.replace(b"look", b"evil")) is None
+    line = signed_line(KEY, {"id": 1, "do": "look"})
+    assert verified_message(KEY, line) == {"id": 1, "do": "look"}
+    assert verified_message(b"other", line) is None
+    assert verified_message(KEY, line.replace(b"look", b"evil")) is None
 
 
 @pytest.mark.parametrize(
-    "data", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
+    "data", [signed_line(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
 )
 def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data: bytes) -> None:
     answered: list[Any] = []
@@ -436,12 +443,12 @@ def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data:
             else:
                 pytest.fail("the stranger stays connected")
         with socket.create_connection((HOST, server.port)) as friend:
-            friend.sendall(sealed(KEY, {"id": 5}))
+            friend.sendall(signed_line(KEY, {"id": 5}))
             for _ in range(PATIENCE):
                 server.serve(0.01, answer)
                 if answered:
                     break
             friend.settimeout(10.0)
-            assert opened(KEY, friend.recv(1000)) == {"id": 5}
+            assert verified_message(KEY, friend.recv(1000)) == {"id": 5}
         assert silent.fileno() > 0
     assert answered == [{"id": 5}]

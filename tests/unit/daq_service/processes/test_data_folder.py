@@ -110,11 +110,11 @@ def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> 
     folder = tmp_path / "data"
     for _ in range(2):  # gone, then an empty one in its place
         with pytest.raises(FolderGoneError, match="bring back the test"):
-            prepare_data_folder(folder, anew=False)
+            prepare_data_folder(folder, may_create=False)
         assert not folder.exists() or not list(folder.iterdir())
         folder.mkdir(exist_ok=True)
     prepare_data_folder(folder)  # by the supervisor; its recorder may be killed before it takes the lock
-    prepare_data_folder(folder, anew=False)
+    prepare_data_folder(folder, may_create=False)
 
 
 def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_the_reserve_is_released_when_the_disk_is_full_and_restored(tmp_path):
 
     def look(free, later_s=10.0):
         volume.free, volume.now_s = free, volume.now_s + later_s
-        return disk.look()
+        return disk.check()
 
     assert look(50 * GB) is None, "nothing has changed"
     assert reserve.stat().st_size == 2_000_000
@@ -88,7 +88,7 @@ def test_an_unreadable_disk_state_changes_no_level(tmp_path):
         raise FileNotFoundError(folder)
 
     disk = DiskWatch(tmp_path, StorageSettings(), usage=gone)
-    assert disk.look() is None
+    assert disk.check() is None
     assert (disk.space.level, disk.refusal) == ("ample", "")
 
 

@@ -19,7 +19,7 @@ from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage, encoded
-from daq_service.processes.recorder_state import Word, look_at_recorder, recorder_state
+from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
@@ -67,10 +67,10 @@ LATE = "last sign of life 66 s ago while waiting"
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
 def test_a_recorder_state_follows_from_lock_and_heartbeat(
-    owned: bool | None, found: Beat | None, word: Word, description: str, kinds: list[str]
+    owned: bool | None, found: Beat | None, word: RecorderStatus, description: str, kinds: list[str]
 ) -> None:
     state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.description) == (word, description)
+    assert (state.status, state.description) == (word, description)
     assert state.listens == (word == "running")
     assert state.beat is found
 
@@ -85,19 +85,19 @@ def test_a_recorder_state_follows_from_lock_and_heartbeat(
     ],
 )
 def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
-    owned: bool | None, kinds: list[str], word: Word, description: str
+    owned: bool | None, kinds: list[str], word: RecorderStatus, description: str
 ) -> None:
     state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.description, state.listens) == (word, description, False)
+    assert (state.status, state.description, state.listens) == (word, description, False)
 
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
 def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -> None:
     """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
-    def state(found: Beat | None) -> tuple[Word, str, bool]:
+    def state(found: Beat | None) -> tuple[RecorderStatus, str, bool]:
         result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
-        return result.word, result.description, result.listens
+        return result.status, result.description, result.listens
 
     assert state(beat(1.0, stage="opening")) == ("running", "running, waiting", False)
     assert state(beat(1.0)) == ("running", "running, waiting", True)
@@ -117,16 +117,16 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
     ],
 )
 def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
-    kinds: list[str], word: Word, listens: bool
+    kinds: list[str], word: RecorderStatus, listens: bool
 ) -> None:
     last_beat = beat(1.0, stage="ended")
     state = recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
-    assert (state.word, state.listens) == (word, listens)
+    assert (state.status, state.listens) == (word, listens)
     assert state.description.startswith(word)
     assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
     late = recorder_state(beat(66.0, stage="ended"), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     gone = recorder_state(last_beat, kinds, owned=False, boot=BOOT, mono_ns=NOW_NS)
-    assert [(item.word, item.listens) for item in (late, gone)] == [(word, False)] * 2
+    assert [(item.status, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
 def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
@@ -221,13 +221,13 @@ def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> N
     kinds = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
-    def look(process: int) -> tuple[Word, str]:
+    def look(process: int) -> tuple[RecorderStatus, str]:
         last = Beat(
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
         (folder / FILE_NAME).write_bytes(encoded(last))
-        state = look_at_recorder(folder, kinds)
-        return state.word, state.description
+        state = read_recorder_state(folder, kinds)
+        return state.status, state.description
 
     with own_data_folder(folder):
         assert look(os.getpid())[0] == "stopped"
@@ -244,4 +244,6 @@ def test_the_recorder_of_a_moved_folder_is_silent(folder: Path) -> None:
     assert health["state"] == "silent"
     assert f"{folder} is gone" in health["description"]
     assert "keeps what it takes in memory" in health["description"]
-    assert look_at_recorder(folder, []).word == "absent", "of a test that has not begun there is no folder"
+    assert read_recorder_state(folder, []).status == "absent", (
+        "of a test that has not begun there is no folder"
+    )

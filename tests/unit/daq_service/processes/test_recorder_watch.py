@@ -12,7 +12,7 @@ from support.new_experiment import new_catalogue, tell
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.processes.heartbeat import Beat, Stage
-from daq_service.processes.recorder_state import Word
+from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.processes.recorder_watch import MOST_INTERVALS, STARTING_S, RecorderWatch
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -30,7 +30,7 @@ class Bench:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.catalogue = new_catalogue(folder)
         self.hour, self.clock, self.n_sets, self.process = 0.0, "wall", 0, 1
-        self.word: Word = "running"
+        self.status: RecorderStatus = "running"
         self.stage: Stage = ""
         monkeypatch.setattr("daq_service.processes.recorder_watch.Freshness", lambda *_: self.fresh())
         self.watch = RecorderWatch(
@@ -40,7 +40,7 @@ class Bench:
     def fresh(self) -> SimpleNamespace:
         now_ns = round(self.hour * NS_PER_H)
         beat = Beat(process=self.process, mono_ns=now_ns, deadline_s=60.0, doing="waiting", stage=self.stage)
-        recorder = SimpleNamespace(word=self.word, beat=beat, beat_age_s=0.0)
+        recorder = SimpleNamespace(status=self.status, beat=beat, beat_age_s=0.0)
         return SimpleNamespace(
             recorder=recorder, clock=self.clock, epoch_utc_ns=0, now_utc_ns=now_ns, now_h=self.hour
         )
@@ -65,11 +65,11 @@ class Bench:
         """Advance the time; the recorder is another process after each restart."""
         end_h, restart_h = self.hour + hours, self.hour + restarts_every_h
         while self.hour < end_h:
-            self.watch.look()
+            self.watch.check()
             self.hour += LOOK_EVERY_H
             if self.hour >= restart_h:
                 self.process, restart_h = self.process + 1, restart_h + restarts_every_h
-        self.watch.look()
+        self.watch.check()
 
     def alarms(self) -> list[tuple[str, str]]:
         """Return the kind of each event of the alarm, and its evidence."""
@@ -120,7 +120,7 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("state", ["silent", "stopped", "absent"])
-def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: Word) -> None:
+def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderStatus) -> None:
     bench.hour = 2.1
     bench.store()
     bench.word = state
@@ -131,14 +131,14 @@ def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: Word) -> 
 def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.hour = 0.1
     bench.store()
-    bench.word, bench.hour = "silent", 9.0
+    bench.status, bench.hour = "silent", 9.0
     bench.watch = RecorderWatch(
         SETTINGS, bench.watch._folder, lambda: bench.catalogue, mono_s=lambda: 3600.0 * bench.hour
     )
-    bench.watch.look()
+    bench.watch.check()
     assert bench.alarms() == []
     bench.hour += 1.01 * STARTING_S * NS_PER_S / NS_PER_H
-    bench.watch.look()
+    bench.watch.check()
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 
 
@@ -148,7 +148,7 @@ def pause(bench: Bench) -> None:
 
 def finish(bench: Bench) -> None:
     tell(bench.catalogue, "schedule_done")
-    bench.word = "finished"
+    bench.status = "finished"
 
 
 def simulate(bench: Bench) -> None:
@@ -163,7 +163,7 @@ def end(bench: Bench) -> None:
 def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
     bench.hour = 2.1
     bench.store()
-    bench.word = "stopped"
+    bench.status = "stopped"
     change(bench)
     bench.run(1.5)
     assert bench.alarms() == []
@@ -171,7 +171,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
 
 def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
     bench.run(3.0)
-    bench.word = "silent"
+    bench.status = "silent"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)
     assert bench.alarms() == []
     bench.run(0.2)

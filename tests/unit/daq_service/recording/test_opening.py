@@ -15,7 +15,7 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Beat, Heartbeat
-from daq_service.processes.recorder_state import look_at_recorder
+from daq_service.processes.recorder_state import read_recorder_state
 from daq_service.recording.opening import OpeningAlarm, open_patiently
 from daq_service.recording.session import _store_stop, _why_not_running
 from hardware_drivers.errors import ConnectionLostError
@@ -75,8 +75,8 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     seen: list[tuple[str, bool, int]] = []
 
     def look() -> None:
-        state = look_at_recorder(opener.folder, ["recorder_stopped"])
-        seen.append((state.word, state.listens, len(opener.alarms)))
+        state = read_recorder_state(opener.folder, ["recorder_stopped"])
+        seen.append((state.status, state.listens, len(opener.alarms)))
 
     rig, did = opener.open(3, look)
     assert (rig, did) == ("the rig", f"the recorder waited for the rig: {GONE}")
@@ -146,4 +146,4 @@ def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> N
     )
     event = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
     assert event is not None
-    assert look_at_recorder(opener.folder, [event.kind]).word == "stopped"
+    assert read_recorder_state(opener.folder, [event.kind]).status == "stopped"

@@ -26,7 +26,7 @@ from daq_service.catalogue.experiment_file import (
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
-from daq_service.processes.lost_catalogue import lost_catalogue
+from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import ShotKey
@@ -267,14 +267,14 @@ def test_a_folder_without_a_test_is_refused(tmp_path):
 
 
 def test_a_catalogue_is_lost_if_a_started_test_lacks_it(line, tmp_path):
-    assert not lost_catalogue(tmp_path)
-    assert not lost_catalogue(line.folder)
+    assert not is_catalogue_lost(tmp_path)
+    assert not is_catalogue_lost(line.folder)
     (line.folder / "catalogue.sqlite").write_bytes(b"")
-    assert lost_catalogue(line.folder)
+    assert is_catalogue_lost(line.folder)
     lose_catalogue(line.folder)
-    assert lost_catalogue(line.folder)
+    assert is_catalogue_lost(line.folder)
     (line.folder / HISTORY_FILE).unlink()
-    assert lost_catalogue(line.folder)
+    assert is_catalogue_lost(line.folder)
 
 
 def test_a_set_with_another_hour_0_is_rejected_in_each_format(line):

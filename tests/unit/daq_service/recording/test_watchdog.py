@@ -93,7 +93,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
         heartbeat = Heartbeat(
             folder,
             deadline_s=DEADLINE_S,
-            tell=report_and_notify,
+            notify=report_and_notify,
             mono_ns=lambda: machine.elapsed_ns,
             boot=lambda: "it",
         )

@@ -348,7 +348,7 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
         "last_set_age_h": 0.25,
         "last_write_age_s": 9.0,
     }
-    monkeypatch.setattr(bench.line._source, "signs_of_life", lambda: facts)
+    monkeypatch.setattr(bench.line._source, "read_heartbeat_facts", lambda: facts)
     (beat,) = bench.run(30.0)
     assert beat.kind == "heartbeat"
     assert beat.text == (
@@ -367,7 +367,7 @@ def test_heartbeats_to_people_are_one_hour_apart_across_restarts(make_bench, mon
     facts = {"recorder": "running", "doing": "waiting", "last_set_age_h": 0.25, "last_write_age_s": 9.0}
     sent_s = []
     for pause_s in (1.0, 600.0, 600.0, 3600.0, 1800.0):
-        monkeypatch.setattr(bench.restarted()._source, "signs_of_life", lambda: facts)
+        monkeypatch.setattr(bench.restarted()._source, "read_heartbeat_facts", lambda: facts)
         sent_s += [bench.mono_s] * len(bench.run())
         bench.mono_s += pause_s
         sent_s += [bench.mono_s] * len(bench.run())
@@ -412,9 +412,9 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, 
 
     monkeypatch.setattr(bench.line, "_send", fail)
     unreadable, readable = bench.alarms.change("hole"), bench.alarms.change("no_data")
-    read = receiver_module.news_of
+    read = receiver_module.alarm_change_of
     monkeypatch.setattr(
-        receiver_module, "news_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+        receiver_module, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
     assert bench.told("sent")[0].event_ids == [readable]

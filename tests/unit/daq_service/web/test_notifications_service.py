@@ -119,7 +119,7 @@ def test_a_test_message_returns_its_result_and_only_one_runs_at_a_time(filled, r
         receiver.answers.put((410, {}))
         assert client.post(f"{STATE}/duty/test", json={}).json()["told"] == "the receiver answers 410 Gone"
         assert client.post(f"{STATE}/night/test", json={}).json()["hint"] == "The receivers are: duty."
-        line = service.app.state.context.notifications.lines["duty"]
+        line = service.app.state.context.notifications.queues["duty"]
         with line._trying:
             refused = client.post(f"{STATE}/duty/test", json={})
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
@@ -219,7 +219,7 @@ def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_
             return child
 
         child = started()
-        until(lambda: log.places(["duty"]), "the receiver's line")
+        until(lambda: log.read_progress(["duty"]), "the receiver's line")
         first = raise_alarm(filled, "hole")
         assert events_of(receiver.next().message) == [first]
         until(lambda: any(line.what == "sent" for _, line in log.read(limit=10)[0]), "the note of it")
@@ -235,5 +235,5 @@ def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_
         assert (events_of(cut.message), events_of(again.message)) == ([second], [second])
         assert cut.headers["Idempotency-Key"] == again.headers["Idempotency-Key"]
         assert events_of(last.message) == [while_dead]
-        until(lambda: log.places(["duty"])["duty"].cursor == while_dead, "the last note")
+        until(lambda: log.read_progress(["duty"])["duty"].cursor == while_dead, "the last note")
     assert receiver.got.empty()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
-from daq_service.processes.notifications.messages import news_of
+from daq_service.processes.notifications.messages import alarm_change_of
 
 ROW = AlarmRow(
     id=3,
@@ -36,5 +36,5 @@ ROW = AlarmRow(
 def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what: str | None) -> None:
     row = replace(ROW, suppressed=suppressed)
     event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
-    notification = news_of(event)
+    notification = alarm_change_of(event)
     assert (notification.what if notification else None) == what

@@ -55,16 +55,16 @@ def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
 def test_without_a_web_service_the_standby_process_sends(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
-    with standing_by(filled.settings, filled.folder, watches=False):
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 
 def test_the_web_service_and_the_standby_process_continue_each_other(
     filled: FilledFolder, receiver: HttpReceiver
 ) -> None:
-    with standing_by(filled.settings, filled.folder, watches=False):
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         with served(filled.settings, filled.folder) as web, web.client() as client:
 
             def sends() -> bool:
@@ -84,8 +84,8 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
     """Its process is alive and keeps the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
     with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
-        stack.enter_context(standing_by(filled.settings, filled.folder, watches=False))
-        until(lambda: DeliveryLog(filled.folder).places(["duty"]), "the receiver's line")
+        stack.enter_context(standing_by(filled.settings, filled.folder, monitors_recorder=False))
+        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "hole") == ["hole"]
 
 

@@ -17,7 +17,7 @@ from support.waiting import happened
 
 from daq_service.errors import UsageError
 from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
-from daq_service.processes.notifications.by_apprise import notify
+from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 from daq_service.settings.notifications import ReceiverSettings
@@ -27,7 +27,7 @@ SECRET = "correct-horse-battery-staple"
 MESSAGE = Message(
     key="abc.duty.7", kind="test", title="Prüfung", text="Nothing is wrong.", facts={"test": "t"}
 )
-SOON = Bounds(connect_s=5.0, read_s=30.0, whole_s=0.2)
+SOON = Bounds(connect_s=5.0, read_s=30.0, total_s=0.2)
 """Only the whole time may run out."""
 
 
@@ -87,7 +87,7 @@ def test_redirects_are_not_followed(receiver):
             receiver.answers.put((status, {"Location": elsewhere.url}))
             outcome = send(receiver)
             assert not outcome.ok
-            assert "it points elsewhere, where nothing is sent" in outcome.told
+            assert "it points elsewhere, where nothing is sent" in outcome.description
         assert elsewhere.got.empty()
 
 
@@ -115,7 +115,7 @@ def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
         outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE, bounds=SOON)
         left.set()
         thread.join()
-    assert outcome.told == "no answer within 0.2 s"
+    assert outcome.description == "no answer within 0.2 s"
 
 
 def test_the_service_s_end_cuts_an_attempt(receiver):
@@ -133,7 +133,7 @@ def test_an_untrusted_certificate_is_rejected(monkeypatch):
     with http_receiver(tls=TLS) as receiver:
         outcome = send(receiver)
         assert not outcome.ok
-        assert outcome.told.startswith("its certificate is refused:")
+        assert outcome.description.startswith("its certificate is refused:")
         assert receiver.got.empty()
         monkeypatch.setenv("SSL_CERT_FILE", str(TLS / "certificate.pem"))
         assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
@@ -142,7 +142,7 @@ def test_an_untrusted_certificate_is_rejected(monkeypatch):
 def test_a_refused_connection_and_an_invalid_response_are_outcomes():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).told == "Connection refused"
+    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).description == "Connection refused"
     with socket.create_server(("127.0.0.1", 0)) as listener:
         answered = threading.Event()
 
@@ -158,7 +158,7 @@ def test_a_refused_connection_and_an_invalid_response_are_outcomes():
         outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
         answered.set()
         thread.join()
-    assert outcome.told == "no answer of HTTP (BadStatusLine)"
+    assert outcome.description == "no answer of HTTP (BadStatusLine)"
 
 
 # Sources of addresses and secrets
@@ -229,10 +229,12 @@ def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, capl
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
     with caplog.at_level(logging.DEBUG):
-        assert notify(address, MESSAGE).ok
+        assert deliver_by_apprise(address, MESSAGE).ok
         receiver.answers.put((500, {}))
-        assert not notify(address, MESSAGE).ok
-        assert "does not know this kind" in notify(Address("nonsense://x", b""), MESSAGE).told
+        assert not deliver_by_apprise(address, MESSAGE).ok
+        assert (
+            "does not know this kind" in deliver_by_apprise(Address("nonsense://x", b""), MESSAGE).description
+        )
     pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
@@ -266,6 +268,6 @@ def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatc
     (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
-    assert notify(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
+    assert deliver_by_apprise(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
     pool.shutdown()
     assert "Authorization" not in receiver.next().headers

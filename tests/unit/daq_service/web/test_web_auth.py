@@ -22,7 +22,7 @@ from daq_service.errors import StorageError, UsageError
 from daq_service.processes.line_file import newest_lines
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
-from daq_service.web.auth.middleware import LONGEST_WHY, MOST_WRONG, refuse_open_doors
+from daq_service.web.auth.middleware import LONGEST_REASON, MOST_WRONG, refuse_unprotected_service
 from daq_service.web.auth.tokens import KnownTokens, create_token, read_tokens, revoke_token
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
@@ -371,13 +371,13 @@ def test_forwarded_addresses_are_ignored_without_a_configured_proxy(filled, toke
 def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_path, tokens):
     web = WebSettings(host="0.0.0.0", host_names=("lab.example.org",), **ENCRYPTED)
     with pytest.raises(UsageError, match=r"holds no valid access token.*solimon token create") as refused:
-        refuse_open_doors(web, tmp_path)
+        refuse_unprotected_service(web, tmp_path)
     assert refused.value.exit_code == 2
     create_token(tokens, "ann", "viewer")
-    refuse_open_doors(web, tmp_path)
+    refuse_unprotected_service(web, tmp_path)
     broken = web.model_copy(update={"tls_key": ENCRYPTED["tls_certificate"]})
     with pytest.raises(UsageError, match="cannot be used"):
-        refuse_open_doors(broken, tmp_path)
+        refuse_unprotected_service(broken, tmp_path)
 
 
 # The audit
@@ -494,7 +494,7 @@ def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, 
     invalid, host, *origins = audit_entries(filled.folder)
     assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
     assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
-    assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_WHY)
+    assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_REASON)
     assert ["Origin is 'http://x'" in deed.why for deed in origins] == [True, True]
     assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
 

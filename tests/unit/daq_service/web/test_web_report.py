@@ -24,7 +24,7 @@ from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
 from daq_service.web.report.figures import GREEN, figure_of
 from daq_service.web.report.make import report_page
-from daq_service.web.report.page import _what_decides, quantity, significant
+from daq_service.web.report.page import _alarm_rule_rows, quantity, significant
 from daq_service.web.routes import report as route
 
 N_SETS = 56
@@ -153,7 +153,7 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
 
 
 def decides(alarms):
-    return dict(_what_decides(Settings(alarms=alarms)))
+    return dict(_alarm_rule_rows(Settings(alarms=alarms)))
 
 
 def test_the_report_describes_the_configured_alarm_rule():
@@ -293,7 +293,7 @@ def test_more_sets_than_a_page_shows_are_refused(filled, monkeypatch):
     monkeypatch.setattr(contents, "MOST_SETS", N_SETS - 1)
     with pytest.raises(UsageError, match=f"more than {N_SETS - 1} sets in this range"):
         read_contents(filled.folder)
-    assert len(read_contents(filled.folder, to_h=20.0).places) == 4
+    assert len(read_contents(filled.folder, to_h=20.0).positions) == 4
 
 
 def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(filled, monkeypatch):

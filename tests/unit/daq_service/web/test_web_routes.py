@@ -24,7 +24,7 @@ from daq_service.catalogue.rows import (
 from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
-from daq_service.corrosion_drive.supply_state import kept_now, write_kept
+from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
@@ -206,8 +206,9 @@ def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
 
 
 def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
-    write_kept(
-        filled.folder, kept_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0)
+    write_stored_state(
+        filled.folder,
+        stored_state_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0),
     )
     try:
         now = get(api, "/api/v1/environment/latest")["supply_now"]
