@@ -58,7 +58,7 @@ def test_classifiers_name_the_versions_that_the_tests_run_on() -> None:
     assert PROJECT["requires-python"] == f">={min(TESTED_ON)}"
 
 
-def test_licences_are_listed_as_the_packages_tell_them() -> None:
+def test_licences_are_listed_as_the_packages_state_them() -> None:
     page = (ROOT / "docs/reference/licences.md").read_text(encoding="utf-8")
     listed = {name: row for row, name in re.findall(r"^(\| ([a-z0-9-]+) \|.*\|)$", page, flags=re.MULTILINE)}
     for name, row in rows().items():

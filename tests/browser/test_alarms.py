@@ -96,7 +96,7 @@ def test_the_hours_shown_are_noted_by_mouse_with_what_a_person_typed(page):
     until(lambda: notes_drawn(page) == [(5.0, 10.0, "<b>door</b> open")], "it is drawn at C")
 
 
-def test_an_alarm_is_shelved_and_told_apart(page):
+def test_a_shelved_alarm_is_shown_separately(page):
     alarm(page, 2).get_by_role("button", name="Shelve").click()
     page.keyboard.type("known leak")
     page.get_by_role("button", name="Shelve it").click()
@@ -120,7 +120,7 @@ def test_out_of_service_and_its_history_by_keys_alone(page):
     expect(alarm(page, 3)).to_contain_text("out of service · by dashboard · cable is being replaced")
 
 
-def test_what_to_do_is_told_beside_the_alarm(page):
+def test_the_actions_are_shown_with_the_alarm(page):
     alarm(page, 4).get_by_text("What now").click()
     expect(alarm(page, 4)).to_contain_text("what else lies on the volume")
     expect(alarm(page, 4)).to_contain_text("Decides: who looks after the computer")
@@ -143,14 +143,16 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     assert set(shown["y"]["limit"]) == {24.3}
     links = box.locator(".proof-sets a")
     # The baseline's sets are not judged: three are, and the alarm's is the last of them.
-    judged = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
-    said = links.all_inner_texts()
-    assert [text.partition(":")[0] for text in said] == [
-        f"Set {row['set_index']}, hour {row['due_h']:.1f}" for row in judged
+    assessed = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
+    link_texts = links.all_inner_texts()
+    assert [text.partition(":")[0] for text in link_texts] == [
+        f"Set {row['set_index']}, hour {row['due_h']:.1f}" for row in assessed
     ]
-    assert [text.endswith(", beyond the limit") for text in said] == [row["outlier"] for row in judged]
+    assert [text.endswith(", beyond the limit") for text in link_texts] == [
+        row["outlier"] for row in assessed
+    ]
     links.first.click()
-    expect(page.locator("#set")).to_have_attribute("data-set", f"B {judged[0]['set_index']}")
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {assessed[0]['set_index']}")
     page.keyboard.press("Escape")
     box.locator(".proof-box .plot").focus()
     page.keyboard.press("Home")

@@ -44,7 +44,7 @@ def history(tmp_path_factory):
 def filled(history, tmp_path):
     """A copy of it that a recorder goes on with."""
     shutil.copytree(history, tmp_path, dirs_exist_ok=True)
-    folder = FilledFolder(tmp_path, SETTINGS, begun=True)
+    folder = FilledFolder(tmp_path, SETTINGS, exists=True)
     yield folder
     folder.close()
 
@@ -66,7 +66,7 @@ def ordered(history, tmp_path_factory):
     """Another copy, of which no test takes a set."""
     place = tmp_path_factory.mktemp("ordered") / "data"
     shutil.copytree(history, place)
-    folder = FilledFolder(place, SETTINGS, begun=True)
+    folder = FilledFolder(place, SETTINGS, exists=True)
     with served(SETTINGS, place) as running:
         yield folder, running
     folder.close()
@@ -185,11 +185,11 @@ def test_what_is_new_appears_without_a_reload(filled, service, open_page):
     assert_drawn_is_the_api(page, service)
 
 
-def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
+def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
     """Distances of the baseline's sets become known, all at once, when it is complete."""
     filled = FilledFolder(tmp_path, Settings())
     for index in range(3):
-        filled.add_set(index, stored=False, judged=False)
+        filled.add_set(index, stored=False, assessed=False)
     with served(filled.settings, tmp_path) as service:
         page = open_page(service.url)
         expect(page.locator("#tof")).to_have_attribute("data-points", "3")
@@ -235,7 +235,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     until(lambda: page.evaluate(last) == N_SETS, "the new one, too")
 
 
-def test_a_doubted_clock_is_trusted_beside_its_alarm(ordering):
+def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled, page = ordering
     filled.add_alarm(None, N_SETS - 1, kind="clock_doubted", message="the system's clock says 2010")
     alarms = page.locator("#alarms")
@@ -299,7 +299,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     answer(filled, "hold", {"note": "once more"}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     refreshes = dashboard(page, "refreshes")
-    filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
+    filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, text="anything new")
     until(lambda: dashboard(page, "refreshes") > refreshes, "another reading")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     expect(page.locator("#hold")).to_have_text("Hold")
@@ -337,7 +337,7 @@ def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering,
     expect(banner).to_contain_text("Position C, set 4, shot 7")
     expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
     # Whoever opens the page later is asked too, and told what is left then.
-    filled.say("orders", at + 580 * 10**9, told="anything new")
+    filled.say("orders", at + 580 * 10**9, text="anything new")
     expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
     filled.say("asked_over", at + 581 * 10**9)
     expect(banner).to_be_hidden()
@@ -449,7 +449,7 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     assert "/healthz" not in asked
 
 
-def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, open_page):
+def test_a_restart_of_service_and_recorder_is_shown_and_loses_no_event(filled, open_page):
     app = create_app(filled.settings, filled.folder)
     with served_app(app) as first:
         port = int(first.netloc.rpartition(":")[2])
@@ -460,7 +460,7 @@ def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, op
     # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
     filled.recorder_ends()
-    again = FilledFolder(filled.folder, SETTINGS, begun=True)
+    again = FilledFolder(filled.folder, SETTINGS, exists=True)
     again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
     again.add_alarm("B", N_SETS)
     with served(filled.settings, filled.folder, port=port):

@@ -162,7 +162,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
 
 
 @pytest.mark.slow
-def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
+def test_the_report_is_accessible_and_printable(service, open_page, tmp_path):
     target = tmp_path / "report.html"
     with service.client() as api:
         target.write_bytes(api.get("/api/v1/report").content)
@@ -175,7 +175,7 @@ def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
     assert page.pdf(prefer_css_page_size=True).startswith(b"%PDF")
 
 
-def test_the_menu_is_a_keyboard_s_too_and_shuts_nobody_out(page):
+def test_the_menu_works_with_the_keyboard_and_is_accessible(page):
     summary = page.locator('summary[aria-label="Export: Amplitude ratio"]')
     summary.focus()
     page.keyboard.press("Enter")

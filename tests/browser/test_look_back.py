@@ -33,10 +33,10 @@ RENEWED = 50
 def filled(tmp_path_factory):
     """One test that goes on from test to test: each adds sets, and counts from what is there."""
     folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
-    judged = folder.assessment
+    make_assessment = folder.assessment
 
     def with_an_outlier(position, index, hour):
-        row = judged(position, index, hour)
+        row = make_assessment(position, index, hour)
         if position == "D" and index >= RENEWED:
             return replace(row, in_baseline=True, chart=None)
         if (position, index) != ("B", OUTLIER):
@@ -241,7 +241,7 @@ def test_without_a_shared_worker_each_tab_has_its_own(filled, service, browser):
     context.close()
 
 
-def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled, service, open_page):
+def test_a_missing_answer_is_shown_with_the_age_of_the_data(filled, service, open_page):
     page = open_page(service.url, forgiven="ERR_")
     wait_for(page)
     page.clock.install()
@@ -288,7 +288,7 @@ def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, serv
     context.close()
 
 
-def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_page):
+def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     """Retired, held, stale and lost: what is old or gone must be as readable as what is new."""
     index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
     filled.retire("C", index)
@@ -297,7 +297,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     off = DriveState(tripped="no recorder was heard")
     write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
-    filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")
+    filled.say("orders", filled.due[index + 40].due_utc_ns, text="anything")
     page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")
     expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
     expect(page.locator("#held")).to_be_visible()
@@ -315,7 +315,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     filled.reinstate("C")
 
 
-def test_nobody_is_shut_out_while_the_first_answer_is_awaited(filled, service, browser):
+def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, service, browser):
     context = browser.new_context(viewport=DESK)
     context.route(re.compile("/trends/"), lambda route: None)
     page = context.new_page()

@@ -124,7 +124,7 @@ def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
     expect(asked).to_be_enabled()
 
 
-def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(filled, shared):
+def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared):
     page = shared
     card, dialog = page.locator("#baseline"), page.get_by_role("dialog")
     expect(card.locator("summary")).to_contain_text("Baseline of B Proposed: nobody has signed it")
@@ -163,7 +163,7 @@ def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(fil
     expect(card).to_contain_text("with the set of hour 24.0")
 
 
-def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, service, open_page):
+def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, service, open_page):
     why = "a baseline of 14 sets; it needs 15"
     nothing = {
         "limit_f": None,
@@ -246,8 +246,8 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
         ("ben", "log_in", yesterday),
     ]
     for who, what, moment in deeds:
-        told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
-        audit.tell(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+        entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+        audit.tell(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
     for _ in range(60):
         audit.tell(
             who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
@@ -282,7 +282,7 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
     ("role", "held", "control"),
     [("viewer", False, False), ("operator", True, False), ("engineer", True, True)],
 )
-def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
+def test_a_button_that_the_role_does_not_allow_is_disabled_with_its_reason(
     filled, open_page, tmp_path, role, held, control
 ):
     tokens = tmp_path / "tokens.json"

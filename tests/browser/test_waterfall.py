@@ -115,8 +115,8 @@ def light(page, position="B", **view):
     wanted = {"position": position, "align": align, "shown": "volts"}
 
     def is_drawn():
-        told = shown(page)
-        return told["ready"] and wanted.items() <= told["header"].items() and told["hours"] == [0, END_H]
+        state = shown(page)
+        return state["ready"] and wanted.items() <= state["header"].items() and state["hours"] == [0, END_H]
 
     until(is_drawn, "the view is drawn")
 
@@ -125,23 +125,23 @@ def light(page, position="B", **view):
 def test_pixels_are_the_samples_of_the_records(filled, shared, align):
     page = shared
     light(page, align=align, hides="tracks,alarms,gaps,bad")
-    told = shown(page)
-    header, limit = told["header"], told["limit"]
+    view = shown(page)
+    header, limit = view["header"], view["limit"]
     image = pixels(page)
     height, width, _ = image.shape
     seen = 0
     rng = np.random.default_rng(7)
     for index in range(N_SETS):
         hour = filled.due[index].due_h + 0.25
-        x = int((hour - told["hours"][0]) / (told["hours"][1] - told["hours"][0]) * width)
+        x = int((hour - view["hours"][0]) / (view["hours"][1] - view["hours"][0]) * width)
         if index in MISSED:
             assert (image[:, x, 3] == 0).all(), "a gap stays a gap"
             continue
         records = [one.waveform for one in filled.records(index) if one.key.position == "B"]
         for y in rng.integers(2, height - 2, 12).tolist():
             # Every sample whose time lies in a cell that the pixel touches.
-            per_s = (told["seconds"][1] - told["seconds"][0]) / height
-            edges = (told["seconds"][0] + np.array([y, y + 1]) * per_s - header["first_s"]) / header["cell_s"]
+            per_s = (view["seconds"][1] - view["seconds"][0]) / height
+            edges = (view["seconds"][0] + np.array([y, y + 1]) * per_s - header["first_s"]) / header["cell_s"]
             first, last = int(np.floor(edges[0] + 1e-6)), int(np.floor(edges[1] + 1e-6)) - 1
             cells = header["first_s"] + np.array([first, max(first, last) + 1]) * header["cell_s"]
             values = []
@@ -161,11 +161,11 @@ def test_pixels_are_the_samples_of_the_records(filled, shared, align):
     assert seen > 100
 
 
-def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, shared):
+def test_aligned_pulses_are_on_one_line_for_any_trigger(filled, shared):
     page = shared
     light(page, align="first")
-    told = shown(page)
-    (isw, psw) = told["tracks"][:2]
+    view = shown(page)
+    (isw, psw) = view["tracks"][:2]
     assert {value for value in isw["seconds"] if value is not None} == {0.0}
     features = {
         row.due_h: row.psw_time_s - row.isw_time_s
@@ -173,7 +173,7 @@ def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, shared):
     }
     found = dict(zip(psw["hours"], psw["seconds"], strict=True))
     assert found == {hour: pytest.approx(value) for hour, value in features.items()}
-    assert told["header"]["align"] == "isw"
+    assert view["header"]["align"] == "isw"
     expect(page.locator("#waterfall")).to_contain_text("a set a row")
 
 
@@ -183,16 +183,16 @@ def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, share
     box = page.locator("#waterfall .plot")
     box.scroll_into_view_if_needed()
     over = page.locator(".waterfall-over").bounding_box()
-    told = drawn(page)
+    view = drawn(page)
     hour = filled.due[6].due_h + 0.1
-    x = over["x"] + over["width"] * hour / told["hours"][1]
+    x = over["x"] + over["width"] * hour / view["hours"][1]
     page.mouse.move(x, over["y"] + over["height"] / 2)
     readout = page.locator("#waterfall .readout")
     expect(readout).to_contain_text("hour 3.")
     expect(readout).to_contain_text("set 6")
     expect(readout).to_contain_text(" V")
     page.mouse.move(
-        over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / told["hours"][1], over["y"] + 9
+        over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / view["hours"][1], over["y"] + 9
     )
     expect(readout).to_contain_text("no record")
     page.mouse.click(x, over["y"] + over["height"] / 2)
@@ -218,11 +218,11 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
     for key in ("ArrowRight", "ArrowRight", "+", "+", "PageUp", "PageUp"):
         page.keyboard.press(key)
     until(lambda: shown(page)["ready"] and "from_wf_us" in query(page), "both axes are zoomed")
-    told = shown(page)
-    assert told["hours"][1] - told["hours"][0] < 14.0
-    assert dashboard(page, "charts.tof.span") == told["hours"]
-    whole = told["header"]["whole_s"]
-    assert told["seconds"][1] - told["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
+    view = shown(page)
+    assert view["hours"][1] - view["hours"][0] < 14.0
+    assert dashboard(page, "charts.tof.span") == view["hours"]
+    whole = view["header"]["whole_s"]
+    assert view["seconds"][1] - view["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
     page.get_by_label("Values of the waterfall").select_option("difference")
     page.get_by_label("Time counts from").select_option("first")
     page.get_by_role("button", name="Tracks").click()
@@ -292,9 +292,9 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
     dragged([(0.7, 0.5)], [(0.4, 0.5)])
     assert shown(page)["hours"] == pytest.approx([5.2, 9.2])
     dragged([(0.4, 0.4), (0.6, 0.6)], [(0.2, 0.3), (0.8, 0.9)])
-    told = drawn(page)
-    assert told["hours"][1] - told["hours"][0] == pytest.approx(4.0 / 3.0)
-    assert told["seconds"][1] - told["seconds"][0] == pytest.approx(np.ptp(told["header"]["whole_s"]) / 3.0)
+    view = drawn(page)
+    assert view["hours"][1] - view["hours"][0] == pytest.approx(4.0 / 3.0)
+    assert view["seconds"][1] - view["seconds"][0] == pytest.approx(np.ptp(view["header"]["whole_s"]) / 3.0)
     # On a chart alike, and the waterfall follows.
     page.locator("#tof .u-over").scroll_into_view_if_needed()
     chart = page.locator("#tof .u-over").bounding_box()
@@ -353,15 +353,15 @@ def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
         until(
             lambda: shown(page)["ready"] and shown(page)["header"]["pending_sets"] == 0, "all sets are read"
         )
-        told = shown(page)["header"]
+        header = shown(page)["header"]
         stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
-        assert told["first_set"] == stored
+        assert header["first_set"] == stored
         expect(page.locator("#waterfall")).not_to_contain_text("still being read")
 
 
-def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_path, open_page):
+def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page):
     filled = FilledFolder(tmp_path, SETTINGS)
-    filled.add_set(0, judged=False)
+    filled.add_set(0, assessed=False)
     with served(filled.settings, tmp_path) as fresh:
         # The service ends before the page does.
         page = open_page(f"{fresh.url}?position=B&shown=difference", forgiven="ERR_CONNECTION_REFUSED")

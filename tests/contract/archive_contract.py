@@ -177,8 +177,8 @@ class ArchiveContract:
     def test_damage_costs_one_record_and_names_it(self, archive, reader, damage):
         stored = archive.store_set(make_set())
         damage(stored.file, 42)
-        told = r"shot 1 of B \(sequence 42\)"
-        with pytest.raises(CorruptArchiveError, match=told):
+        message = r"shot 1 of B \(sequence 42\)"
+        with pytest.raises(CorruptArchiveError, match=message):
             reader.read_set(stored.file)
         whole = make_set()
         rest = replace(whole, shots=[shot for shot in whole.shots if shot.sequence != 42], outcomes={})

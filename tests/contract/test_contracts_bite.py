@@ -11,6 +11,7 @@ from support.broken_instruments import (
     ArmsAnything,
     ArmsOverAnArmedOne,
     CodesBeyondTheResolution,
+    CountsInMillivolts,
     DisarmsOnce,
     EndsWhenSafe,
     GrowingRecords,
@@ -30,7 +31,6 @@ from support.broken_instruments import (
     StrikesAnotherCoil,
     StrikesTwice,
     TakesAnyTime,
-    TellsMillivolts,
     waveform,
 )
 
@@ -105,7 +105,7 @@ def test_a_sound_digitizer_passes(test):
         (GrowingRecords, "test_records_of_one_position_have_one_shape_and_calibration"),
         (NoPretrigger, "test_a_strike_on_an_armed_digitizer_is_recorded"),
         (CodesBeyondTheResolution, "test_counts_are_read_only_codes_of_their_calibration"),
-        (TellsMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
+        (CountsInMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
         (SettingsOfLists, "test_counts_are_read_only_codes_of_their_calibration"),
         (TakesAnyTime, "test_no_time_is_no_order"),
         (DisarmsOnce, "test_disarming_is_harmless_at_any_time"),
@@ -398,12 +398,12 @@ class SoundClimateProbe:
         return ClimateReading(stamp=stamp, temperature_c=22.3, relative_humidity=0.46)
 
 
-class TellsFahrenheit(SoundClimateProbe):
+class ReadsFahrenheit(SoundClimateProbe):
     def read(self, timeout_s):
         return replace(super().read(timeout_s), temperature_c=71.6)
 
 
-class TellsPercent(SoundClimateProbe):
+class ReadsPercent(SoundClimateProbe):
     def read(self, timeout_s):
         return replace(super().read(timeout_s), relative_humidity=45.0)
 
@@ -433,8 +433,8 @@ def test_a_sound_climate_probe_passes(test):
 @pytest.mark.parametrize(
     ("broken", "test"),
     [
-        (TellsFahrenheit, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
-        (TellsPercent, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (ReadsFahrenheit, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (ReadsPercent, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
         (RunsBackwards, "test_readings_are_dated_in_order"),
         (BootsEveryTime, "test_readings_are_dated_in_order"),
         (NeverEnds, "test_no_time_is_no_order"),

@@ -80,7 +80,7 @@ def check_plot(path):
 
 
 @pytest.mark.parametrize("which", ["today", *EARLIER])
-def test_the_file_of_a_set_opens_as_a_plot_whoever_wrote_it(which, folders):
+def test_the_file_of_a_set_opens_as_a_plot_for_any_writer(which, folders):
     files = set_files(folders[which])
     assert files
     for path in (files[min(files)], files[max(files)]):

@@ -226,13 +226,13 @@ def test_a_row_of_shots_belongs_to_every_record(file):
     assert texts(table["boot_id"][()]) == [item.stamp.boot_id for item in records]
 
 
-def test_receiver_settings_are_beside_the_echo(file):
+def test_receiver_settings_are_stored_with_the_echo(file):
     group = file["entry/A_pulse_echo"]
     assert (group["gain"][0], group["offset"][0], group["averages"][0]) == (31.5, -0.25, 64)
     assert (text(group["gain"].attrs["units"]), text(group["offset"].attrs["units"])) == ("dB", "V")
 
 
-def test_the_truth_of_simulated_shots_has_units_and_marks_what_was_not_told(file):
+def test_the_truth_of_simulated_shots_has_units_and_marks_missing_values(file):
     truth = file["entry/B_truth"]
     assert truth["shot_id"][()].tolist() == [41, 42, 43]
     assert truth["drop_height_m"][0] == 5.1e-3
@@ -257,7 +257,7 @@ def test_the_file_says_what_was_missed_and_which_attempt_counts(file):
     )
 
 
-def test_what_the_instruments_say_has_units_and_marks_what_was_not_told(file):
+def test_instrument_data_has_units_and_marks_missing_values(file):
     settings = file["entry/B_settings"]
     assert settings["shot_id"][()].tolist() == [41, 42, 43]
     assert texts(settings["board"][()]) == ["01A2B3C4", "", "01A2B3C5"]

@@ -87,7 +87,7 @@ def test_every_operation_and_every_kind_of_order_has_a_role():
 
 
 @pytest.mark.parametrize("operation", CALLS)
-def test_an_operation_is_done_for_its_role_and_those_above_and_for_nobody_else(clients, operation):
+def test_an_operation_is_allowed_for_its_role_and_higher_roles_only(clients, operation):
     method, path = CALLS[operation]
     needed = OPERATIONS[operation]
     with report._making:  # who may have a report hears that one is being made: each would take seconds

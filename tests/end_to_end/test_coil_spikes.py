@@ -134,10 +134,10 @@ def wrong_with(
         edge, height_v, _, _ = case
         doubles.control.disturb("C", crosstalk_of(case, noisy=description.twin.noise.enabled))
         survey = survey_coil(parameters, "C", READ_TIMEOUT_S)
-        told = survey.on if edge == "on_v" else survey.off
-        named = told.height_v > 0.6 * height_v and told.triggers is (height_v > parameters.trigger_level_v)
+        spike = survey.on if edge == "on_v" else survey.off
+        named = spike.height_v > 0.6 * height_v and spike.triggers is (height_v > parameters.trigger_level_v)
         if height_v > seen_v and not named:
-            wrong.append(f"{case} is told as {told}")
+            wrong.append(f"{case} is told as {spike}")
         if survey.holdoff_s is None:
             wrong.append(f"{case}: no holdoff is proposed ({survey})")
             continue
@@ -243,16 +243,16 @@ def test_the_doctor_names_the_spike_and_its_cure_and_the_cure_cures(
     assert (code, spike["state"]) == (3, "fail")
     assert "on: spike 0.3" in spike["found"]
     assert "takes the trigger" in spike["found"]
-    told = spike["values"]
-    assert f"holdoff_s = {told['proposed_holdoff_s']:g}" in spike["remedy"]
+    values = spike["values"]
+    assert f"holdoff_s = {values['proposed_holdoff_s']:g}" in spike["remedy"]
     assert checks["strike C: record"]["values"]["flags"] == "false_trigger"
     assert "holdoff_s" in checks["strike C: record"]["remedy"]
     # The level is judged by the strike that did show a wave: no advice comes from a number that is none.
     assert checks["strike C: trigger level"]["state"] == "ok"
     assert "nan" not in text.lower()
-    assert told["wave_after_s"] == pytest.approx(told["expected_wave_after_s"], rel=0.2)
+    assert values["wave_after_s"] == pytest.approx(values["expected_wave_after_s"], rel=0.2)
 
-    cure = {"holdoff_s": told["proposed_holdoff_s"], "ringing_s": told["proposed_ringing_s"]}
+    cure = {"holdoff_s": values["proposed_holdoff_s"], "ringing_s": values["proposed_ringing_s"]}
     code, checks, text = doctor(capsys, tmp_path, by_library, **cure)
     assert (code, checks["strike C: coil's spike"]["state"]) == (0, "ok")
     held = f"held off for {cure['holdoff_s'] * 1e3:.3g} ms"
@@ -274,7 +274,7 @@ def test_ringing_that_leaves_no_room_asks_for_another_cure(
     assert "nan" not in text.lower()
 
 
-def test_a_holdoff_that_the_wave_comes_before_is_told(
+def test_a_holdoff_longer_than_the_arrival_of_the_wave_is_reported(
     by_library: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As where the ball falls from less than the file says: here the file says 8 mm."""
@@ -294,7 +294,7 @@ def test_a_holdoff_that_the_wave_comes_before_is_told(
     code = run_doctor(config=config, data_dir=tmp_path / "data", strike="C", as_json=True)
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
     assert code == 3
-    told = checks["strike C: coil's spike"]
-    assert told["state"] == "fail"
-    assert told["values"]["latest_holdoff_s"] < 39e-3
-    assert told["values"]["proposed_holdoff_s"] < told["values"]["latest_holdoff_s"]
+    finding = checks["strike C: coil's spike"]
+    assert finding["state"] == "fail"
+    assert finding["values"]["latest_holdoff_s"] < 39e-3
+    assert finding["values"]["proposed_holdoff_s"] < finding["values"]["latest_holdoff_s"]

@@ -201,9 +201,9 @@ def test_a_recorder_that_is_killed_is_restarted_and_changes_no_number(
     with started(*TWO_HOURS, str(tmp_path), "--pace", "1") as process:
         until(lambda: sets_done(tmp_path) >= 1, "the first set")
         os.kill(children_of(process.pid)["record"], signal.SIGKILL)
-        told, _ = process.communicate(timeout=LIMIT_S)
+        output, _ = process.communicate(timeout=LIMIT_S)
         assert process.returncode == 0
-    assert json.loads(told.splitlines()[-1])["positions"] == result["positions"]
+    assert json.loads(output.splitlines()[-1])["positions"] == result["positions"]
     assert rows_of(tmp_path) == rows_of(whole)
     log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
     assert log.count("was killed by signal 9") == 1
@@ -243,9 +243,9 @@ def test_orders_come_from_another_terminal(watched: Demo) -> None:
         done = solimon_here(*arguments, "--data-dir", str(folder), env=QUICK)
         return done.returncode, done.stdout + done.stderr
 
-    code, said = order("hold", "--note", "door open", "--author", "ann", "--json")
+    code, text = order("hold", "--note", "door open", "--author", "ann", "--json")
     assert code == 0
-    answer = json.loads(said)
+    answer = json.loads(text)
     assert (answer["kind"], answer["author"], answer["arguments"], answer["state"]) == (
         "hold",
         "ann",
@@ -253,12 +253,12 @@ def test_orders_come_from_another_terminal(watched: Demo) -> None:
         "done",
     )
     assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
-    code, said = order("hold")
+    code, text = order("hold")
     assert code == 2
-    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in said
-    code, said = order("hold", "--reason", "door still open")
+    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in text
+    code, text = order("hold", "--reason", "door still open")
     assert code == 2
-    assert "already on hold: held by ann: door open" in said
+    assert "already on hold: held by ann: door open" in text
     assert order("retire", "--position", "C", "--note", "coil is hot") == (0, "C strikes no more\n")
     assert order("retire", "--position", "Z")[0] == 2
     assert order("reinstate", "--position", "C")[0] == 0
@@ -321,7 +321,7 @@ def test_nothing_strikes_on_after_the_supervisor_is_killed(watched: Demo) -> Non
 
 
 @posix_only
-def test_an_order_that_nobody_hears_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
+def test_a_command_without_a_recorder_is_rejected(two_hours: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = two_hours
     beat = folder / "heartbeat.json"
     before = beat.read_text(encoding="utf-8")
@@ -426,7 +426,7 @@ def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
     assert facts["free_bytes"] > 0
 
 
-def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+def test_status_prints_the_status_of_a_test(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     folder, _ = two_hours
     facts = json.loads(solimon_here("status", "--json", "--data-dir", str(folder), env=QUICK).stdout)
     assert facts["counts"]["sets"] == 4

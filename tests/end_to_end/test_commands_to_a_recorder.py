@@ -65,8 +65,8 @@ def test_a_running_test_is_held_and_released_and_a_transducer_retired(
         stop.set()
         recorder.join(WAIT_S)
     assert not recorder.is_alive()
-    said = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in said] == [
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == [
         "on hold",
         "D strikes no more",
         "released",

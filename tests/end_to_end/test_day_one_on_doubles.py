@@ -136,7 +136,7 @@ def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice
 
 @LIBRARY
 @TERMINALS
-def test_a_supply_whose_load_is_another_than_told_fails_and_is_left_off(tmp_path: Path) -> None:
+def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path: Path) -> None:
     with bench_supply(tmp_path, 0.5 * LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})

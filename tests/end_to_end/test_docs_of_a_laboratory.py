@@ -168,15 +168,15 @@ def test_every_kind_of_alarm_has_its_row() -> None:
 def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
     page = HOW_TO / "choose-a-baseline.md"
     (code,), (printed,) = blocks(page, "python"), blocks(page, "text")
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    captured = io.StringIO()
+    with contextlib.redirect_stdout(captured):
         exec(code, {})
-    assert said.getvalue() == printed
+    assert captured.getvalue() == printed
     rates = (ROOT / "tests/validation/test_false_alarm_limits.py").read_text(encoding="utf-8")
     text = page.read_text(encoding="utf-8")
-    told = re.findall(r"([\d.]+) % (?:of healthy sets beyond it\s)?at (\d+)", text)
-    assert len(told) == 3, "the pattern finds what the page says"
-    for percent, n in told:
+    stated = re.findall(r"([\d.]+) % (?:of healthy sets beyond it\s)?at (\d+)", text)
+    assert len(stated) == 3, "the pattern finds what the page says"
+    for percent, n in stated:
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 

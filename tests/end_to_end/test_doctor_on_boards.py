@@ -176,7 +176,7 @@ def test_boards_of_a_running_recorder_are_left_alone(
 
 
 @pytest.mark.parametrize("strike", ["C", None])
-def test_boards_that_somebody_else_holds_are_told_and_not_struck(
+def test_boards_reserved_by_another_process_are_reported_and_not_struck(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str], strike: str | None
 ) -> None:
     config = configuration(tmp_path, doubles)
@@ -240,7 +240,7 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(
     assert coil_pulses_s(doubles.control.record()) == []
 
 
-def test_a_noisy_input_is_told_beside_its_trigger_level(
+def test_a_noisy_input_is_reported_with_its_trigger_level(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, trigger_level_v=0.1), tmp_path / "data")
@@ -314,7 +314,7 @@ def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles)
     assert low == {f"{name}/port2/line{number}" for number in (4, 5, 6)}, "the coils' lines and no other"
 
 
-def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
+def test_the_configuration_of_a_rehearsal_strikes_nothing_on_request(
     doubles: RunningDoubles, tmp_path: Path
 ) -> None:
     config = configuration(tmp_path, doubles, dry_run=True)
@@ -324,7 +324,7 @@ def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
     assert doubles.control.record()["calls"] == []
 
 
-def test_a_server_is_reached_and_one_that_is_gone_is_told_at_once(
+def test_a_server_is_reached_and_a_missing_one_is_reported_at_once(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if not doubles.grpc:

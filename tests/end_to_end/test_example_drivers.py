@@ -91,9 +91,9 @@ def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    told = dict(re.findall(r"^(\w+): (\d+ kept, \d+ broken.*)$", done.stdout, re.MULTILINE))
-    assert {suite: told[suite].partition(",")[0] for suite in KEPT[kind]} == KEPT[kind]
-    assert all(", 0 broken" in line for line in told.values())
+    counts = dict(re.findall(r"^(\w+): (\d+ kept, \d+ broken.*)$", done.stdout, re.MULTILINE))
+    assert {suite: counts[suite].partition(",")[0] for suite in KEPT[kind]} == KEPT[kind]
+    assert all(", 0 broken" in line for line in counts.values())
     assert f"solimon's rules: {kind}, solimon-{example.replace('_', '-')} 0.1.0" in done.stdout
     assert re.search(r"^tests.test_\w+\.py \.+", done.stdout, re.MULTILINE), "its own tests ran, too"
 
@@ -110,7 +110,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
     with running_brain(quick_description()) as doubles:
         meet(doubles, monkeypatch)
 
-        class BesideTheChassis(ScopeDouble):
+        class ScopeNextToTheChassis(ScopeDouble):
             """A scope whose transducer is struck by the coil at the counter of a board."""
 
             strikes = 0
@@ -122,7 +122,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
                     self.wave_arrives(wave_v, RATE_HZ)
                 return super().bs_is_ready(handle, ready)
 
-        scope = BesideTheChassis()
+        scope = ScopeNextToTheChassis()
         monkeypatch.setattr(api, "load", lambda name: as_library(scope))
         instruments = {
             "counter": boards(doubles, "C", input=""),

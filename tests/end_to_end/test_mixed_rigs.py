@@ -100,7 +100,7 @@ def set_rows(folder: Path) -> dict[str, SetRow]:
         return {row.position: row for row in catalogue.rows(SetRow)}
 
 
-def told(folder: Path, *kinds: str) -> list[EventRow]:
+def events_of(folder: Path, *kinds: str) -> list[EventRow]:
     with open_catalogue(folder) as catalogue:
         return [row for row in catalogue.events_after(0) if row.kind in kinds]
 
@@ -152,7 +152,7 @@ def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Scri
             stop=threading.Event(),
             tell=lambda event, **values: heard.append((event, values)),
         )
-    asked = told(folder, "asked", "asked_over")
+    asked = events_of(folder, "asked", "asked_over")
     assert [row.kind for row in asked] == ["asked", "asked_over"] * SHOTS
     assert asked[2].payload == {
         "text": "strike B now", "position": "B", "set_index": 0, "shot_index": 1, "attempt": 0,
@@ -170,7 +170,7 @@ def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Scri
 def test_a_strike_that_does_not_come_is_a_missed_shot(script: Script, folder: Path) -> None:
     script.comes = False
     assert run(mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}), folder)
-    assert [row.kind for row in told(folder, "asked", "asked_over")] == ["asked", "asked_over"] * SHOTS
+    assert [row.kind for row in events_of(folder, "asked", "asked_over")] == ["asked", "asked_over"] * SHOTS
     (row,) = set_rows(folder).values()
     assert (row.state, row.n_taken) == ("missed", 0)
     assert "nothing came at B within 5 s" in row.cause
@@ -200,7 +200,7 @@ def test_every_striker_is_made_safe_though_one_fails(script: Script) -> None:
     assert script.events == ["make_safe", "make_safe", "disarm", "close", "close", "close"]
 
 
-def test_each_instrument_is_opened_once_and_told_what_it_serves(script: Script) -> None:
+def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Script) -> None:
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer"), "C": ("scope", "hammer")})
     clock = WallClock()
     with open_rig(settings, clock, 5):
@@ -251,9 +251,9 @@ def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_
     config = tmp_path / "rig.json"
     config.write_text(settings.model_dump_json(), encoding="utf-8")
     assert run_doctor(config=config, data_dir=tmp_path / "data", strike="B", as_json=True) == 0
-    said = capsys.readouterr()
-    assert "strike B now" in said.err.splitlines()
-    report = json.loads(said.out)
+    printed = capsys.readouterr()
+    assert "strike B now" in printed.err.splitlines()
+    report = json.loads(printed.out)
     checks = {check["name"]: check for check in report["checks"]}
     assert (checks["scope: front panel: lamp"]["state"], checks["scope: front panel: lamp"]["remedy"]) == (
         "warn", "switch on",

@@ -96,7 +96,7 @@ def test_doctor_fails_where_strikes_are_wanted(
     assert "dry_run = true" in refused["remedy"]
 
 
-def test_a_recorder_rehearses_and_nothing_is_good_judged_or_a_baseline(
+def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(
     doubles: RunningDoubles, tmp_path: Path
 ) -> None:
     settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
@@ -115,10 +115,10 @@ def test_a_recorder_rehearses_and_nothing_is_good_judged_or_a_baseline(
         ]
         assert {row.outlier for row in catalogue.rows(AssessmentRow)} <= {None}
         assert catalogue.rows(AlarmRow) == [], "what is made up is no damage either"
-    told = read_set(set_files(folder)[0]).shots[0]
-    assert told.settings["calibration_date"] == ""
+    shot = read_set(set_files(folder)[0]).shots[0]
+    assert shot.settings["calibration_date"] == ""
     # A full-scale sine wave: its rms is the range over the root of two.
-    rms_v, range_v = float(told.waveform.volts().std()), told.waveform.calibration.range_v
+    rms_v, range_v = float(shot.waveform.volts().std()), shot.waveform.calibration.range_v
     assert rms_v == pytest.approx(range_v / 2**0.5, rel=0.01)
     assert not any(event["level"] for event in doubles.control.record()["lines"])
 

@@ -163,7 +163,7 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("daq_service.catalogue.owner.TWIN_VERSION", "physics of the twin: began with 1, is 2 now"),
         (
@@ -174,13 +174,13 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
     ],
 )
 def test_a_version_that_measures_otherwise_names_what_changed(
-    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, told: str
+    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, message: str
 ) -> None:
     folder = unpack("9c4a9b9")
     monkeypatch.setattr(name, "2")
     with pytest.raises(StorageError) as caught:
         check_owner(settings_of("9c4a9b9"), folder)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "with solimon 0.1.0), or choose another folder with --data-dir" in str(caught.value)
     assert caught.value.exit_code == 4
 
@@ -196,7 +196,7 @@ def test_a_changed_key_is_named_with_both_values(unpack: Unpack) -> None:
     ]
 
 
-def test_a_new_version_of_the_package_alone_is_told_and_not_refused(
+def test_a_new_package_version_alone_is_reported_and_not_refused(
     unpack: Unpack, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("daq_service.recording.session.version", lambda name: "9.0.0")

@@ -114,7 +114,7 @@ def test_record_shows_how_far_it_is_and_leaves_it_standing(recorded: PseudoTermi
     assert "\x1b[2K" in recorded.written, "one line, written again"
 
 
-def test_run_tells_the_page_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
+def test_run_prints_the_address_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
     check("run", ran, folder, at_any_time="dashboard")
     assert len(FolderSetReader(folder).sets()) == 2, "the folder of the configuration, beside its file"
 
@@ -143,7 +143,7 @@ def test_serve_says_where_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) 
     check("serve", terminal, folder)
 
 
-def test_whoever_watches_sees_what_changes_and_keeps_the_last_picture(
+def test_a_watched_status_shows_changes_and_keeps_the_last_output(
     ran: PseudoTerminal, folder: Path, tmp_path: Path
 ) -> None:
     del ran
@@ -172,7 +172,7 @@ def test_demo_says_first_words_its_folder_how_far_it_is_and_its_summary(tmp_path
 
 
 @pytest.mark.slow
-def test_the_first_compilation_is_told_while_it_goes_on(tmp_path: Path) -> None:
+def test_the_first_compilation_is_reported_while_it_runs(tmp_path: Path) -> None:
     command = arguments("record", folder=tmp_path / "data")
     with on_terminal(command, {**quick(0.5), "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         assert terminal.end() == 0
@@ -185,7 +185,7 @@ def test_the_first_compilation_is_told_while_it_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_compilation_of_a_twin_with_a_process_of_its_own_is_told(tmp_path: Path) -> None:
+def test_the_compilation_in_a_twin_process_is_reported(tmp_path: Path) -> None:
     command = arguments("demo", "--exit", "--no-web", folder=tmp_path / "data")
     with on_terminal(command, {**QUICK, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         # Some seconds of it are the recorder's own; the long part comes with the first strikes.

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, told
+from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, source_of
 from test_docs import PAGES
 
 MOST_BYTES = 1_500_000
@@ -31,7 +31,7 @@ def test_each_step_of_the_tutorial_has_its_picture() -> None:
 
 
 def test_each_picture_was_taken_of_what_the_list_says() -> None:
-    assert {p.file: parsed_line(DOCS / p.file) for p in PICTURES} == {p.file: told(p) for p in PICTURES}
+    assert {p.file: parsed_line(DOCS / p.file) for p in PICTURES} == {p.file: source_of(p) for p in PICTURES}
     assert sum((DOCS / picture.file).stat().st_size for picture in PICTURES) < MOST_BYTES
 
 
@@ -40,4 +40,4 @@ def test_each_picture_was_taken_of_what_the_list_says() -> None:
 def test_the_command_makes_all_of_them(tmp_path: Path) -> None:
     make(tmp_path)
     made = {path.relative_to(tmp_path).as_posix(): parsed_line(path) for path in tmp_path.rglob("*.*")}
-    assert made == {picture.file: told(picture) for picture in PICTURES}
+    assert made == {picture.file: source_of(picture) for picture in PICTURES}

@@ -111,10 +111,14 @@ def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
     assert_same_sets(tmp_path, recording)
     rows, recorded = rows_of(tmp_path), rows_of(recording)
     # The recording has no set beside the plan: it is told as that, and nothing else comes of it.
-    (beside,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
-    assert (beside.position, beside.set_index, beside.state) == ("B", PLANNED_SETS + LAST, "missed")
-    assert "the recording has no attempt 0 at shot 0" in beside.cause
-    assert rows | {"sets": [row for row in rows["sets"] if row is not beside]} == recorded
+    (unscheduled,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
+    assert (unscheduled.position, unscheduled.set_index, unscheduled.state) == (
+        "B",
+        PLANNED_SETS + LAST,
+        "missed",
+    )
+    assert "the recording has no attempt 0 at shot 0" in unscheduled.cause
+    assert rows | {"sets": [row for row in rows["sets"] if row is not unscheduled]} == recorded
     assert [row.outlier for row in recorded["verdicts"] if row.set_index == LAST] == [True, False]
     assert recorded["alarms"] == []
 
@@ -242,7 +246,7 @@ def test_the_toml_of_the_page_is_accepted(text, tmp_path):
     assert load_settings(path).rig.kind == "playback"
 
 
-def test_the_python_of_the_page_tells_hour_0(recording, capsys):
+def test_the_python_of_the_page_prints_hour_0(recording, capsys):
     (text,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
     exec(text, {"path": set_files(recording)[3]})
     assert int(capsys.readouterr().out) == parse_utc("2024-01-01T00:00:00Z")

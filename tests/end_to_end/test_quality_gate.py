@@ -179,8 +179,8 @@ def test_a_missed_strike_is_repeated_and_the_set_is_done(tmp_path: Path) -> None
     due_ns = row.due_utc_ns
     assert [shot.utc_ns - due_ns for shot in shots] == [0, 2 * STEP_NS, 3 * STEP_NS]
     assert shots_of(tmp_path, "C", 2)[0].utc_ns - due_ns == 4 * STEP_NS
-    (told,) = read_set(set_files(tmp_path)[2]).missed
-    assert (told.key, told.cause, told.reason) == (
+    (missed_shot,) = read_set(set_files(tmp_path)[2]).missed
+    assert (missed_shot.key, missed_shot.cause, missed_shot.reason) == (
         ShotKey(position="B", set_index=2, shot_index=1),
         NO_TRIGGER,
         "no_trigger",
@@ -372,7 +372,7 @@ def test_a_restart_between_silent_sets_changes_no_row(silent_one: Path, tmp_path
     assert rows_of(tmp_path) == rows_of(silent_one)
 
 
-def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
+def test_a_valid_shot_in_between_restarts_the_count(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if key.position == "B" and key.set_index != 2:
             raise AcquisitionTimeoutError(NO_TRIGGER)
@@ -392,9 +392,7 @@ def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
-    tmp_path: Path, restart: bool
-) -> None:
+def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Path, restart: bool) -> None:
     """Retired by sets 0 to 3, put back right after, silent again: four more sets, not one."""
     settings = only("BD", small_settings(schedule={"end_h": 5.0}, quality=SILENT))
     stop = threading.Event()
@@ -598,12 +596,12 @@ def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(
     assert alarm.proof == {"set_index": 1, "error": "ConnectionLostError"}
     assert alarm.message == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
     with open_catalogue(tmp_path) as catalogue:
-        told = [
+        alarm_events = [
             (event.kind, event.set_index)
             for event in catalogue.events_after(0, {"alarms"}, limit=None)
             if event.payload["kind"] == "rig_unavailable"
         ]
-    assert told == [("alarm_raised", 1), ("alarm_cleared", 3)]
+    assert alarm_events == [("alarm_raised", 1), ("alarm_cleared", 3)]
 
 
 def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
@@ -615,7 +613,7 @@ def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
     assert alarms_of(tmp_path) == {}
 
 
-def test_a_rig_that_is_gone_for_long_retires_nobody(tmp_path: Path) -> None:
+def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 5), "B", 4, ConnectionLostError)
     settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))

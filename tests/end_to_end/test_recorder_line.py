@@ -159,25 +159,25 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert {row.n_sets for row in rows["baselines"]} == {BASELINE_SETS}
     of_d = [row for row in rows["verdicts"] if row.position == "D"]
     assert [row.set_index for row in of_d] == list(range(SETS))
-    baseline, judged = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
+    baseline, assessed = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
     assert all(row.in_baseline and row.outlier is None for row in baseline)
     # Squared distances of a sample from its own mean sum to (n - 1) p, exactly; 1e-9 is rounding.
     total = sum(row.distance_squared for row in baseline)
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
-    assert all(row.outlier is not None and row.limit_f is not None for row in judged)
-    assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in judged)
+    assert all(row.outlier is not None and row.limit_f is not None for row in assessed)
+    assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in assessed)
 
 
 def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
-    rows, judged = rows_of(finished), list(assessed_sets(small_settings(), "B"))
-    of_sets = [found.position_result.features[-1] for found in judged]
+    rows, assessed = rows_of(finished), list(assessed_sets(small_settings(), "B"))
+    of_sets = [found.position_result.features[-1] for found in assessed]
     stored = [row for row in rows["set_features"] if row.position == "B"]
     names = {"id": None, "sequence": None}
     assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
-    assessments = {row.set_index: row for found in judged for row in found.position_result.assessments}
-    told = [row for row in rows["verdicts"] if row.position == "B"]
-    assert len(told) == SETS
-    for row in told:
+    assessments = {row.set_index: row for found in assessed for row in found.position_result.assessments}
+    stored_rows = [row for row in rows["verdicts"] if row.position == "B"]
+    assert len(stored_rows) == SETS
+    for row in stored_rows:
         ours = assessments[row.set_index]
         assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
         assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
@@ -307,8 +307,8 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         with pytest.raises(_KilledError):
             run(pair_settings(), tmp_path)
     if boundary == "before the file":
-        told = {row.set_index for row in rows_of(tmp_path)["sets"]}
-        assert killed_at not in told, "nothing may be said of a set whose file is not durable"
+        reported = {row.set_index for row in rows_of(tmp_path)["sets"]}
+        assert killed_at not in reported, "nothing may be said of a set whose file is not durable"
     assert run(pair_settings(), tmp_path)
     assert rows_of(tmp_path) == pair
     assert sorted(set_files(tmp_path)) == list(range(SETS))
@@ -477,7 +477,7 @@ class _LateClock:
         return self._clock.wait_until(utc_ns - self._late_ns, idle)
 
 
-def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tmp_path: Path) -> None:
+def test_sets_due_without_a_recorder_get_gap_rows_with_the_cause(tmp_path: Path) -> None:
     assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
 
     @contextmanager

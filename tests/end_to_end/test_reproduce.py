@@ -91,7 +91,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def assert_same_as_before(out: Path, result: dict[str, Any], whole: tuple[Path, dict[str, Any]]) -> int:
     """Compare every file, byte by byte, and every row with the paper; the number of files."""
     old, before = whole
-    files = [name for told in result["items"].values() for name in told["files"]]
+    files = [name for item in result["items"].values() for name in item["files"]]
     for name in files:
         assert (out / name).read_bytes() == (old / name).read_bytes(), name
     rows = {(row["item"], row["quantity"]): row for row in before["comparison"]}
@@ -114,7 +114,7 @@ def ours(result: dict[str, Any], item: str, quantity: str) -> float | None:
 def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
     out, result = whole
     report = (out / "report.html").read_text(encoding="utf-8")
-    drawn = {name for name, told in result["items"].items() if told["not_available"] is None}
+    drawn = {name for name, entry in result["items"].items() if entry["not_available"] is None}
     assert set(result["items"]) == {item.name for item in ITEMS}
     assert drawn == set(result["items"]), "a test of 12 h has everything that a figure needs"
     for item in ITEMS:
@@ -131,7 +131,7 @@ def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
     assert not re.search(r"(src|href)='(http|/)", report), "it opens from disk, by itself"
 
 
-def test_every_slip_is_told_with_a_finding(whole):
+def test_every_slip_is_listed_with_a_finding(whole):
     out, result = whole
     report = (out / "report.html").read_text(encoding="utf-8")
     assert [slip["where"] for slip in result["slips"]] == [slip.where for slip in SLIPS]
@@ -184,8 +184,8 @@ def test_csv_holds_the_catalogues_numbers(whole, small: Path):
         table = columns(out / "fig14.csv")
         rows = [k for k, name in enumerate(table["position"]) if name == "B"]
         assert [float(table["distance_squared"][k]) for k in rows] == assessments["distance_squared"]
-        told = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
-        assert told == assessments["outlier"]
+        outliers = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
+        assert outliers == assessments["outlier"]
 
 
 def test_the_equations_computed_again_agree(whole):
@@ -280,13 +280,13 @@ def test_slips_alone_take_the_limits_of_the_test_they_are_given(
     small: Path, executor: Executor, tmp_path: Path
 ):
     result, _ = made(tmp_path / "out", chosen_items("slips"), executor, small)
-    (told,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
+    (finding,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
     with open_catalogue(small) as catalogue:
         for position in "BCD":
-            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in told
+            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in finding
     without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
-    (told,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
-    assert told == "not available: no test was run or read"
+    (finding,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
+    assert finding == "not available: no test was run or read"
     assert without["data_dir"] is None
 
 

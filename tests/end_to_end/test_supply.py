@@ -76,7 +76,7 @@ def run(
     """Record to the end; after the n-th set an order is given or something is done to the instruments."""
     prepare_data_folder(folder)
 
-    def tell(event: str, **values: Any) -> None:
+    def notify(event: str, **values: Any) -> None:
         if event != "progress":
             return
         if (orders or {}).get(values["done"]):
@@ -96,7 +96,7 @@ def run(
             folder,
             open_rig,
             stop=stop,
-            tell=tell,
+            tell=notify,
             listen_every_s=0.0,
             wall_clock=(clock or SteppedClock()).start,
         )

@@ -153,7 +153,7 @@ class Test:
         """Record to the end; something is done after the n-th set."""
         prepare_data_folder(self.folder)
 
-        def tell(event: str, **values: Any) -> None:
+        def notify(event: str, **values: Any) -> None:
             if event == "progress":
                 (after or {}).get(values["done"], lambda: None)()
 
@@ -165,7 +165,7 @@ class Test:
                 self.folder,
                 rig,
                 stop=stop or threading.Event(),
-                tell=tell,
+                tell=notify,
                 listen_every_s=0.0,
                 wall_clock=wall_clock or SteppedClock().start,
                 remote_drive=drive,
@@ -239,8 +239,8 @@ class Test:
         now = look_at_drive(self.folder)
         assert now is not None
         assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
-        said = describe_status(self.folder, Settings())["supply"]["description"]
-        assert "tripped: no recorder was heard" in said
+        description = describe_status(self.folder, Settings())["supply"]["description"]
+        assert "tripped: no recorder was heard" in description
 
 
 @pytest.fixture
@@ -265,7 +265,7 @@ def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(tes
     assert test.alarms() == {}
 
 
-def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_back(test: Test) -> None:
+def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(test: Test) -> None:
     settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
@@ -389,7 +389,7 @@ def recorder_of(test: Test) -> int:
     ],
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
-def test_after_a_kill_it_is_switched_off_when_nobody_is_back(
+def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(
     test: Test, word: str, killed: list[str]
 ) -> None:
     settings = test.settings(unwatched_s=UNWATCHED_S, sets=600)
@@ -438,7 +438,7 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None
     assert test.switchings() == [True, False], "off at the end"
 
 
-def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_end(test: Test) -> None:
+def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
     command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]

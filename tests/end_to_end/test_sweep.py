@@ -77,10 +77,10 @@ def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(
             assert finished <= int(read_until(process, rf"^(\d+) of {ROWS} rows were finished before$"))
             read_until(process, r"\(([34]\d) %\)")
             os.killpg(process.pid, signal.SIGINT)
-            _, told = process.communicate(timeout=LIMIT_S)
-        assert process.returncode == 130, told
-        assert "Traceback" not in told
-        kept = re.search(rf"(\d+) of {ROWS} rows are kept in (.*); the same command goes on", told)
+            _, errors = process.communicate(timeout=LIMIT_S)
+        assert process.returncode == 130, errors
+        assert "Traceback" not in errors
+        kept = re.search(rf"(\d+) of {ROWS} rows are kept in (.*); the same command goes on", errors)
         assert kept
         assert kept[2] == f"{output}.work"
         finished = int(kept[1])

@@ -15,10 +15,10 @@ from support.crashed_recorders import (
     SETS,
     SHOTS_PER_SET,
     crash_settings,
+    faults_after_crash,
     lost_of_kept_open,
     lost_of_replaced,
     outcome,
-    told_of_a_crash,
 )
 from support.refusing_files import needs_a_preload
 from support.small_experiment import SMALL, rows_of
@@ -142,10 +142,10 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
         # Where shots are acknowledged by the group, the pages of one go to the disk in any order.
         holes = design == "simulated" and name.startswith("pages")
         lost_pages = name.startswith("pages")
-        told = told_of_a_crash(
+        faults = faults_after_crash(
             state, acknowledged, folder, whole, settings, with_holes=holes, lost_pages=lost_pages
         )
-        assert told == [], name
+        assert faults == [], name
         shutil.rmtree(folder)
         count += 1
     assert count >= (some or 40) - 1
@@ -162,8 +162,8 @@ def solimon_record(folder, **environment):
         json.dumps({**SMALL, "schedule": {**SMALL["schedule"], "end_h": 6.0}}), encoding="utf-8"
     )
     command = [sys.executable, "-m", "daq_service.cli", "record", config, "--data-dir", folder / "data"]
-    with (folder / "said").open("w") as said:
-        subprocess.run([*command, "--log-json"], env={**os.environ, **environment}, stdout=said, check=True)
+    with (folder / "said").open("w") as output:
+        subprocess.run([*command, "--log-json"], env={**os.environ, **environment}, stdout=output, check=True)
 
 
 @pytest.mark.slow
@@ -192,8 +192,8 @@ def test_sixty_states_by_the_command(fast, library, capsys):
 def _seen_from_the_data(call):
     """A call as of the data folder; a line on standard output is a promise."""
     if call.path == "said" and call.kind == "w":
-        told = (json.loads(line) for line in call.content.splitlines())
-        return [Call(kind=MARK, path="", number=line["shot_id"]) for line in told if "shot_id" in line]
+        messages = (json.loads(line) for line in call.content.splitlines())
+        return [Call(kind=MARK, path="", number=line["shot_id"]) for line in messages if "shot_id" in line]
     if call.path.startswith("data/") or (call.path == "data" and call.kind == "s"):
         content = call.content.removeprefix(b"data/") if call.kind == "r" else call.content
         path = call.path.removeprefix("data").removeprefix("/")

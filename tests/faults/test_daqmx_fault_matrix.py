@@ -262,7 +262,7 @@ def faulty_line(laboratory: Laboratory, call: Call, kind: str, code: int | None)
     return line(laboratory, before)
 
 
-def told_wrongly(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[str]:
+def wrong_results(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[str]:
     """Errors of a wrong class and records that are not the twin's."""
     for error in outcome.errors:
         if not isinstance(error, allowed):
@@ -321,7 +321,7 @@ def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
     outcome = line(laboratory, read_timeout_s=SOUND_READ_TIMEOUT_S)
     if outcome.errors:
         yield f"the next run failed: {outcome.errors}"
-    texts = [*told_wrongly(laboratory, outcome, ()), *left_wrongly(laboratory, call)]
+    texts = [*wrong_results(laboratory, outcome, ()), *left_wrongly(laboratory, call)]
     yield from (f"the next run: {text}" for text in texts)
     # What the driver would not clear would gather over the cases.
     if laboratory.brain.control.record()["tasks"]:
@@ -352,7 +352,7 @@ def after_a_fault(laboratory: Laboratory, call: Call, kind: str, allowed, code: 
     try:
         outcome = faulty_line(laboratory, call, kind, code)
         laboratory.replace_dead_brain()
-        texts += told_wrongly(laboratory, outcome, allowed)
+        texts += wrong_results(laboratory, outcome, allowed)
         if kind == "hang":  # what hung is carried out when it is released; the next run clears it
             laboratory.brain.control.release_hangs()
             texts += coil_wrongly(laboratory)

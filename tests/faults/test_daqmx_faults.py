@@ -231,7 +231,7 @@ def test_wiring_that_does_not_exist_is_refused(parameters, changes):
         open_daqmx(with_wiring(parameters, **changes)).__enter__()
 
 
-def test_a_serial_number_that_is_not_there_is_told_with_those_that_are(parameters):
+def test_a_missing_serial_number_is_reported_with_those_present(parameters):
     with pytest.raises(ConnectionLostError, match=r"0000BEEF; there are: .*01E16086 \(PXI1Slot3\)"):
         open_daqmx(with_wiring(parameters, board_serial="BEEF")).__enter__()
 
@@ -455,7 +455,7 @@ def test_make_safe_ends_a_pulse_at_once(doubles, parameters):
 
 
 @by_both
-def test_a_coil_that_cannot_be_switched_off_is_told_and_ends_by_itself(monkeypatch, transport):
+def test_a_coil_that_cannot_be_switched_off_is_reported_and_ends_by_itself(monkeypatch, transport):
     """Neither stop nor abort nor clear goes through: only the board's own counter is left."""
     with running_brain(DESCRIPTION) as doubles:  # its own: the refused tasks stay in it
         if transport == "library":
@@ -628,7 +628,7 @@ def test_a_record_larger_than_grpcs_own_limit_comes_through(doubles, remote):
 
 
 @on_a_server
-def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remote):
+def test_only_the_tasks_of_a_killed_recorder_are_cleared(doubles, remote):
     from nidaqmx import Task
     from nidaqmx.grpc_session_options import GrpcSessionOptions
 
@@ -714,7 +714,7 @@ def test_a_killed_driver_of_the_library_is_found_again(monkeypatch):
         assert_sound(parameters, take(rig, second, key(2)), key(2))
 
 
-def test_a_driver_that_is_not_installed_is_told_with_its_remedy():
+def test_a_driver_that_is_not_installed_is_reported_with_a_remedy():
     """In a process of its own: this one has found the double already."""
     receiver, sender = context().Pipe(duplex=False)
     child = in_a_process(open_without_driver, sender)

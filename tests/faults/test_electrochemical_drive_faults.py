@@ -80,7 +80,7 @@ def test_a_supply_lost_for_long_is_switched_off_when_it_is_back(rig):
     assert rig.active() == {"interlock_tripped"}
 
 
-def test_a_brown_out_is_told_and_not_corrected(rig):
+def test_a_brown_out_is_reported_and_not_corrected(rig):
     rig.instruments.brown_out()
     rig.run(60.0)
     assert rig.active() == {"supply_off_unexpectedly"}

@@ -148,7 +148,7 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
 
 
 @pytest.mark.slow
-def test_reductions_are_the_uncached_ones_whoever_was_killed(tmp_path):
+def test_reductions_equal_the_uncached_ones_after_any_kill(tmp_path):
     chance = random.Random(4)
     thicknesses_m = [5e-3 + 1e-4 * k for k in range(5)]
     plates = [

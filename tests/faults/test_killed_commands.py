@@ -118,9 +118,9 @@ class Processes:
             self._running[name] = process
             if process.stdout is not None:
                 with process.stdout:
-                    said = process.stdout.readline()
-                assert said.startswith("dashboard: "), said
-                self.url = said.split()[1]
+                    first_line = process.stdout.readline()
+                assert first_line.startswith("dashboard: "), first_line
+                self.url = first_line.split()[1]
 
     def kill(self, *names: str) -> None:
         for name in names:

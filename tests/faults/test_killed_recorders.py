@@ -31,7 +31,7 @@ def schedule_for(kills):
     return {**SMALL["schedule"], "phases": [{"until_h": 1.0 * kills, "interval_h": 0.5}]}
 
 
-def supervise(config, folder, told):
+def supervise(config, folder, acknowledged):
     """Child: what ``solimon run`` does; each acknowledged shot is told at once, the end with a None."""
     prepare_data_folder(folder)
     (plan,) = child_plans(config, folder, port=None, web=False, linger=False)
@@ -39,7 +39,7 @@ def supervise(config, folder, told):
 
     def on_message(child, message):
         if message["event"] in ("shot_acknowledged", "finished"):
-            told.send(message.get("shot_id"))
+            acknowledged.send(message.get("shot_id"))
 
     with stop_on_signals() as stop:
         code = Supervisor([plan], folder, on_message=on_message, restart_delays_s=(0.0,)).run(
@@ -50,8 +50,8 @@ def supervise(config, folder, told):
 
 def another_owner(folder, before):
     """Process of the recorder that runs on a folder; None while there is none but the one before."""
-    told = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
-    return int(told[1]) if told and int(told[1]) != before else None
+    owner = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
+    return int(owner[1]) if owner and int(owner[1]) != before else None
 
 
 @pytest.mark.timeout(3600)  # 8 kills: half a minute on an idle machine, two beside eight others

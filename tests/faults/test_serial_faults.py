@@ -99,11 +99,11 @@ def test_attempts_back_off_on_the_callers_clock(rig):
             rig.supply.read(TIMEOUT_S)
         waited_s = 0.0
         while True:
-            with pytest.raises(ConnectionLostError) as told:
+            with pytest.raises(ConnectionLostError) as refusal:
                 rig.supply.read(TIMEOUT_S)
-            if "next attempt in" not in str(told.value):
+            if "next attempt in" not in str(refusal.value):
                 pytest.fail("an attempt before its time")
-            left_s = float(str(told.value).rpartition("in ")[2].removesuffix(" s"))
+            left_s = float(str(refusal.value).rpartition("in ")[2].removesuffix(" s"))
             rig.clock.advance(left_s * 0.999)  # printed to three digits
             waited_s += left_s * 0.999
             if left_s < 0.01:
@@ -167,7 +167,7 @@ def test_a_silent_supply_is_lost_in_the_time_given(energised):
     assert 0.1 <= LOOK_S * next(looks) < 0.2
 
 
-def test_a_supply_that_stays_silent_is_looked_for_behind_its_port_anew(energised, tmp_path):
+def test_the_port_of_a_silent_supply_is_reopened(energised, tmp_path):
     rig = energised
     link = rig.instruments.supply_link
     link.inject(silent=True)
@@ -224,7 +224,7 @@ def test_a_late_reply_answers_no_later_question(energised, late):
         assert reading.current_a == pytest.approx(8.5 / 40.0, abs=1e-6)  # printed digits
 
 
-def test_what_nobody_asked_for_answers_nothing(energised):
+def test_an_unsolicited_reply_answers_no_query(energised):
     rig = energised
     rig.supply.read(TIMEOUT_S)
     rig.instruments.supply_link.chatter(b"+9.990000E+00\n")
@@ -233,7 +233,7 @@ def test_what_nobody_asked_for_answers_nothing(energised):
 
 
 @pytest.mark.parametrize(
-    ("said", "complaint"),
+    ("answer_bytes", "complaint"),
     [
         (GARBAGE, "no text"),
         (b"\n", "no text"),
@@ -245,12 +245,12 @@ def test_what_nobody_asked_for_answers_nothing(energised):
         (b"x" * 1000, "without a terminator"),
     ],
 )
-def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energised, said, complaint):
+def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energised, answer_bytes, complaint):
     rig = energised
-    rig.instruments.supply_link.inject(garbage=1, garbage_bytes=said)
+    rig.instruments.supply_link.inject(garbage=1, garbage_bytes=answer_bytes)
     with pytest.raises(ConnectionLostError, match=complaint) as error:
         rig.supply.read(TIMEOUT_S)
-    shown = repr(said.strip(b"\r\n").split(b"\n")[0][:SHOWN_BYTES])[1:]
+    shown = repr(answer_bytes.strip(b"\r\n").split(b"\n")[0][:SHOWN_BYTES])[1:]
     assert shown.strip("'") in str(error.value)
     rig.instruments.supply_link.heard()  # asked once the clock knows that the rest is withheld
     assert rig.supply.read(TIMEOUT_S).voltage_v == 10.0
@@ -259,7 +259,7 @@ def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energis
 def test_a_flag_that_is_no_flag_is_refused(energised):
     rig = energised
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: "2" if said == "OUTP?" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: "2" if command == "OUTP?" else answer(command)
     with pytest.raises(ConnectionLostError, match="expected 0 or 1"):
         rig.supply.read(TIMEOUT_S)
 
@@ -268,7 +268,7 @@ def test_an_instrument_that_never_stops_talking_is_given_up(energised):
     rig = energised
     rig.supply.close()
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: "\n".join(["+1.0E+00"] * 100) + answer(said)
+    rig.instruments.supply_link.answer = lambda command: "\n".join(["+1.0E+00"] * 100) + answer(command)
     with pytest.raises(ConnectionLostError, match=r"answered b'\+1\.0E\+00"):
         rig.supply.read(TIMEOUT_S)
 
@@ -309,7 +309,7 @@ def test_an_instrument_that_was_exchanged_while_unplugged_is_refused(energised):
     assert rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_a_second_owner_is_told_the_port_and_who_has_it(rig):
+def test_a_second_owner_gets_an_error_with_the_port_and_its_owner(rig):
     rig.supply.read(TIMEOUT_S)
     second = rig.new_supply()
     with pytest.raises(BusyError) as error:
@@ -365,7 +365,9 @@ def test_old_errors_are_not_the_orders_fault(rig):
 
 def test_an_error_queue_without_an_end_is_refused(rig):
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: '-350,"full"' if said == "SYST:ERR?" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: (
+        '-350,"full"' if command == "SYST:ERR?" else answer(command)
+    )
     with pytest.raises(ConnectionLostError, match=r"does not end.*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert rig.switched() == []
@@ -416,10 +418,10 @@ def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
 def test_a_supply_that_gives_more_than_asked_is_switched_off(rig):
     answer = rig.instruments.supply.answer
     link = rig.instruments.supply_link
-    link.answer = lambda said: "+1.200000E+01" if said == "MEAS:VOLT?" else answer(said)
+    link.answer = lambda command: "+1.200000E+01" if command == "MEAS:VOLT?" else answer(command)
     with pytest.raises(ConfigurationError, match=r"gives 12 V; at most 10\.05 V.*the output is off"):
         rig.supply.energise(10.0, 1.0)
-    link.answer = lambda said: "+2.000000E+00" if said == "MEAS:CURR?" else answer(said)
+    link.answer = lambda command: "+2.000000E+00" if command == "MEAS:CURR?" else answer(command)
     with pytest.raises(ConfigurationError, match=r"gives 2 A; at most 1\.02 A.*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert not rig.instruments.supply.on
@@ -435,7 +437,7 @@ def test_at_its_limit_it_is_no_fault(rig):
 
 
 @pytest.mark.parametrize(("protection", "asked"), [("VOLT", "VOLT:PROT:TRIP?"), ("CURR", "CURR:PROT:TRIP?")])
-def test_a_tripped_protection_is_told_and_not_overruled(energised, protection, asked):
+def test_a_tripped_protection_is_reported_and_not_overruled(energised, protection, asked):
     rig = energised
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip(protection))
     assert not rig.supply.read(TIMEOUT_S).output_on
@@ -465,7 +467,7 @@ def test_a_supply_that_trips_as_it_is_switched_on_says_so(rig):
 def test_a_supply_that_does_not_switch_off_is_not_safe(energised):
     rig = energised
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: None if said == "OUTP OFF" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: None if command == "OUTP OFF" else answer(command)
     with pytest.raises(ConnectionLostError, match=r"unknown.*says it is on"):
         rig.supply.make_safe()
 
@@ -478,7 +480,10 @@ def test_setup_commands_follow_every_check_of_the_name(tmp_path):
         with pytest.raises(ConnectionLostError):
             rig.supply.read(TIMEOUT_S)
         rig.supply.read(TIMEOUT_S)
-        assert [said for said in rig.heard() if said in {"*IDN?", "SYST:REM"}] == ["*IDN?", "SYST:REM"] * 2
+        assert [command for command in rig.heard() if command in {"*IDN?", "SYST:REM"}] == [
+            "*IDN?",
+            "SYST:REM",
+        ] * 2
 
 
 def test_a_supply_without_protections_is_not_asked_for_them(tmp_path):
@@ -486,7 +491,7 @@ def test_a_supply_without_protections_is_not_asked_for_them(tmp_path):
         rig.supply.energise(10.0, 1.0)
         rig.supply.make_safe()
         rig.supply.read(TIMEOUT_S)
-        assert not [said for said in rig.heard() if "PROT" in said]
+        assert not [command for command in rig.heard() if "PROT" in command]
 
 
 # The climate probe ---------------------------------------------------------------------------------
@@ -550,7 +555,7 @@ def test_what_is_no_serial_port_is_refused(rig, tmp_path):
             supply_on(path, rig).identity()
 
 
-def test_no_right_to_a_port_is_told_with_the_group(rig, monkeypatch):
+def test_a_missing_permission_for_a_port_is_reported_with_the_group(rig, monkeypatch):
     def forbidden(**_):
         raise serial.SerialException(13, "could not open port")
 
@@ -588,9 +593,9 @@ def test_no_error_of_a_port_gets_past_the_line(energised, call, raised, monkeypa
 
     with monkeypatch.context() as patched:
         patched.setattr(serial.Serial, call, fails)
-        with pytest.raises(ConnectionLostError) as told:
+        with pytest.raises(ConnectionLostError) as refusal:
             rig.supply.read(TIMEOUT_S)
-    assert told.value.__cause__ is raised
+    assert refusal.value.__cause__ is raised
     assert rig.supply.read(TIMEOUT_S).output_on
 
 

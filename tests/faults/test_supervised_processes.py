@@ -77,7 +77,7 @@ if starts(sys.argv[1]) == 1:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_a_kill_is_told_with_its_signal(tmp_path: Path) -> None:
+def test_a_killed_process_is_reported_with_its_signal(tmp_path: Path) -> None:
     script = """
 tell("started", cause=sys.argv[2])
 if starts(sys.argv[1]) == 1:
@@ -176,7 +176,7 @@ def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes that refuse instead of waiting")
-def test_a_supervisor_that_stands_still_keeps_nobody_waiting() -> None:
+def test_a_stopped_supervisor_does_not_block_its_child() -> None:
     """Stopped by a debugger, say: the pipe is full after some hundred lines."""
     script = """
 from daq_service.processes.child import notify_supervisor

@@ -77,10 +77,10 @@ def supply_parameters(rig: RigSettings) -> SupplyParameters:
 @pytest.fixture(scope="session")
 def load_ohm() -> float:
     """Resistor at the supply's output; whoever names it allows that it is energised."""
-    told = os.environ.get(LOAD)
-    if not told:
+    load = os.environ.get(LOAD)
+    if not load:
         pytest.skip(f"{LOAD} is not set: nothing is energised (docs/how-to/day-one.md says what to wire)")
-    return float(told)
+    return float(load)
 
 
 @pytest.fixture(scope="session")

@@ -98,11 +98,13 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
         rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=0))
         acquired = rig.digitizer.read(READ_TIMEOUT_S)
     assert set(done) == {same_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
-    told = str(acquired.settings["calibration_date"])
-    if not told:
+    calibration_date = str(acquired.settings["calibration_date"])
+    if not calibration_date:
         pytest.skip(f"this board does not calibrate itself: {done}")
     # The board's clock is that of the driver's computer; an hour allows for a remote chassis.
-    assert abs(datetime.fromisoformat(told).astimezone() - datetime.now().astimezone()) < timedelta(hours=1)
+    assert abs(
+        datetime.fromisoformat(calibration_date).astimezone() - datetime.now().astimezone()
+    ) < timedelta(hours=1)
     # An open or quiet input lies within a hundredth of its range.
     assert abs(float(np.mean(acquired.waveform.volts()))) < 0.01 * acquired.waveform.calibration.range_v
 

@@ -92,21 +92,21 @@ def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float)
 def is_off(supply: ScpiPowerSupply) -> bool:
     """Whether the output reads back as off, by both questions."""
     reading = supply.read(READ_TIMEOUT_S)
-    told = supply.read_back(READ_TIMEOUT_S)
-    return not reading.output_on and told["output"] == "off"
+    state = supply.read_back(READ_TIMEOUT_S)
+    return not reading.output_on and state["output"] == "off"
 
 
 # Nothing is energised -------------------------------------------------------------------------------
 
 
-def test_it_tells_who_it_is_and_what_is_set(supply: ScpiPowerSupply) -> None:
+def test_the_supply_reports_its_identity_and_setpoints(supply: ScpiPowerSupply) -> None:
     identity = supply.identity()
     assert identity["maker"] or identity["model"]
-    told = supply.read_back(READ_TIMEOUT_S)
-    assert told["output"] == "off"
-    assert told["tripped"] == "", "clear the protection at the instrument first"
-    assert float(told["set_voltage_v"]) >= 0.0
-    assert float(told["set_current_limit_a"]) > 0.0
+    state = supply.read_back(READ_TIMEOUT_S)
+    assert state["output"] == "off"
+    assert state["tripped"] == "", "clear the protection at the instrument first"
+    assert float(state["set_voltage_v"]) >= 0.0
+    assert float(state["set_current_limit_a"]) > 0.0
 
 
 def test_an_order_beyond_the_caps_sets_nothing(
@@ -126,14 +126,14 @@ def test_an_order_beyond_the_caps_sets_nothing(
 def test_it_holds_its_voltage_and_reads_back_what_was_set(supply: ScpiPowerSupply, load: Load) -> None:
     parameters = load.parameters
     with energised(supply, load.voltage_v, 2.0 * load.current_a) as reading:
-        told = supply.read_back(READ_TIMEOUT_S)
+        state = supply.read_back(READ_TIMEOUT_S)
     assert reading.output_on
     assert reading.voltage_v == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
     assert reading.current_a == pytest.approx(
         load.current_a, rel=LOAD_TOLERANCE, abs=parameters.readback_tolerance_a
     )
-    assert float(told["set_voltage_v"]) == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
-    assert told["output"] == "on"
+    assert float(state["set_voltage_v"]) == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
+    assert state["output"] == "on"
     assert is_off(supply)
 
 
@@ -176,7 +176,7 @@ def test_what_fails_while_it_is_on_leaves_it_off(supply: ScpiPowerSupply, load: 
     assert is_off(supply)
 
 
-def test_a_driver_that_starts_anew_finds_it_on_and_switches_it_off(
+def test_a_restarted_driver_finds_the_output_on_and_switches_it_off(
     supply: ScpiPowerSupply, load: Load
 ) -> None:
     """A process that ended leaves the output as it is; who comes next sees that before it does anything."""

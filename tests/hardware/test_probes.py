@@ -98,7 +98,11 @@ def test_self_calibration_is_dated_today(probe_parameters: NiscopeParameters) ->
         with open_niscope(replace(probe_parameters, probes={position: wiring})) as unit:
             done = unit.self_calibrate()
             key = ShotKey(position=position, set_index=0, shot_index=0)
-            told = str(unit.acquire(key, probe_parameters.call_timeout_s).settings["calibration_date"])
+            calibration_date = str(
+                unit.acquire(key, probe_parameters.call_timeout_s).settings["calibration_date"]
+            )
         assert len(done) == 1
         # The board's date is that of the computer, in UTC or in local time.
-        assert abs(date.fromisoformat(told[:10]) - datetime.now().astimezone().date()) <= timedelta(days=1)
+        assert abs(
+            date.fromisoformat(calibration_date[:10]) - datetime.now().astimezone().date()
+        ) <= timedelta(days=1)

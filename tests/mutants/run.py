@@ -85,7 +85,7 @@ def apply(patch: Path, copy: Path, *options: str) -> None:
     subprocess.run(command, cwd=copy, env=environment, check=True, capture_output=True, text=True)
 
 
-def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Connection) -> None:
+def _run(copy: Path, tests: Sequence[str], results: multiprocessing.connection.Connection) -> None:
     """Child: run tests on the copy; tell pytest's exit code, its output, and the seconds of processor."""
     os.chdir(copy)
     sys.path[:] = [str(copy), str(copy / "tests"), *(p for p in sys.path if Path(p).resolve() != ROOT)]
@@ -100,7 +100,7 @@ def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Conn
     with redirect_stdout(output), redirect_stderr(output):
         code = pytest.main([*options, *tests])
     spent = os.times()
-    told.send((int(code), output.getvalue(), sum(spent[:4])))
+    results.send((int(code), output.getvalue(), sum(spent[:4])))
 
 
 def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:

@@ -156,10 +156,10 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
             self.catalogue.commit_set(replace(commit_of(RECORDS[index], self.stored[index]), **impossible()))
 
     @rule()
-    def tell(self):
+    def add_event(self):
         """Something that belongs to no set."""
-        told = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
-        self.events.append((told, "told", None))
+        added_id = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
+        self.events.append((added_id, "told", None))
 
     @rule()
     def adopt(self):
@@ -209,7 +209,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
         assert self.catalogue.next_sequence() == max(sequences, default=0) + 1
 
     @invariant()
-    def events_are_those_that_were_told_in_their_order(self):
+    def events_have_their_order(self):
         ids = [event_id for event_id, *_ in self.events]
         assert ids == sorted(set(ids))
         for catalogue in (self.catalogue, self.reading):

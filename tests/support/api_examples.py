@@ -65,11 +65,15 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
         return {"status": "200", "media_type": media_type, "answer": "\n".join(answer.text.splitlines()[:6])}
     if media_type != "application/json":
         return None
-    told = {"status": str(answer.status_code), "media_type": media_type, "answer": shortened(answer.json())}
-    return told | ({} if body is None else {"body": shortened(body)})
+    example = {
+        "status": str(answer.status_code),
+        "media_type": media_type,
+        "answer": shortened(answer.json()),
+    }
+    return example | ({} if body is None else {"body": shortened(body)})
 
 
-def write_examples(folder: Path, *, anew: bool) -> None:
+def write_examples(folder: Path, *, renew: bool) -> None:
     """Serve an invented test, ask everything once, and write what came.
 
     Parameters
@@ -77,7 +81,7 @@ def write_examples(folder: Path, *, anew: bool) -> None:
     anew
         False: only of operations that have none yet.
     """
-    kept: dict[str, Any] = {} if anew else json.loads(FILE.read_text(encoding="utf-8"))
+    kept: dict[str, Any] = {} if renew else json.loads(FILE.read_text(encoding="utf-8"))
 
     def turn(call: tuple[str, str, dict[str, Any]]) -> int:
         name = call[2]["operationId"]
@@ -97,9 +101,9 @@ def write_examples(folder: Path, *, anew: bool) -> None:
             calls = [(path, method, what) for path, item in paths.items() for method, what in item.items()]
             calls.sort(key=turn)
             for path, method, operation in calls:
-                told = asked(client, path, method, operation)
-                if told is not None:
-                    answers.setdefault(operation["operationId"], told)
+                example = asked(client, path, method, operation)
+                if example is not None:
+                    answers.setdefault(operation["operationId"], example)
     filled.close()
     answers |= {name: kept[name] for name in answers.keys() & kept.keys()}
     content = json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True)

@@ -208,7 +208,7 @@ def _counts(path: Path, content: bytes) -> dict[int, bytes]:
     return _READ[content]
 
 
-def told_of_a_crash(
+def faults_after_crash(
     state: State,
     acknowledged: Sequence[int],
     folder: Path,
@@ -232,7 +232,7 @@ def told_of_a_crash(
     """
     kind = settings.clock.kind
     write_state(state, folder)
-    wrong = [f"{name} is published and {told}" for name, told in _unreadable(folder)]
+    wrong = [f"{name} is published and {fault}" for name, fault in _unreadable(folder)]
     struck = record(settings, folder)
     again = {_of(key) for key in struck} & {whole.keys[number] for number in acknowledged}
     wrong += [f"{len(again)} acknowledged shots are struck again, {min(again)}"] if again else []
@@ -262,7 +262,7 @@ def told_of_a_crash(
         wrong.append("a second start strikes again")
     if aside:  # it reports what is in the quarantine in other words
         return wrong
-    wrong += [f"second start: {told}" for told in _differing(first.rows, rows_of(folder, kind))]
+    wrong += [f"second start: {fault}" for fault in _differing(first.rows, rows_of(folder, kind))]
     wrong += [f"second start: {name} changed" for name in _changed(files, _lasting(folder))]
     return wrong
 
@@ -299,15 +299,15 @@ def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
     A set beside the plan is due once the planned one that asks for it has its last shot.
     """
 
-    def bare(told: Any) -> Any:
-        if not isinstance(told, dict):
-            return told
+    def bare(content: Any) -> Any:
+        if not isinstance(content, dict):
+            return content
         depends = ("sequence", "file_sha256", "id")
-        if (told.get("set_index") or 0) >= PLANNED_SETS:
+        if (content.get("set_index") or 0) >= PLANNED_SETS:
             depends += ("due_h", "file")
         return {
             name: bare(value)
-            for name, value in told.items()
+            for name, value in content.items()
             if name not in depends and not name.endswith("_ns")
         }
 

@@ -81,15 +81,15 @@ class FilledFolder:
     """Adds sets as a recorder would: file first, then rows and events in one transaction."""
 
     def __init__(
-        self, folder: Path, settings: Settings, *, shots_per_set: int = 1, begun: bool = False
+        self, folder: Path, settings: Settings, *, shots_per_set: int = 1, exists: bool = False
     ) -> None:
         self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
         self.epoch_ns = parse_utc(settings.clock.epoch)
         self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
-        if not begun:
+        if not exists:
             (folder / "catalogue.sqlite").write_bytes(empty_catalogue())
         self.catalogue = open_catalogue(folder, writer=True)
-        if not begun:
+        if not exists:
             self.catalogue.create_experiment(
                 name=settings.name,
                 configuration_hash=settings.configuration_hash(),
@@ -103,7 +103,7 @@ class FilledFolder:
         self._ownership = ExitStack()
         self._ownership.enter_context(own_data_folder(folder))
         self.beat()
-        if not begun:
+        if not exists:
             self.say("recorder_started", 0)
 
     def recorder_ends(self) -> None:
@@ -156,7 +156,7 @@ class FilledFolder:
         }
 
     def add_set(
-        self, index: int, *, stored: bool = True, shown: bool = False, judged: bool = True
+        self, index: int, *, stored: bool = True, shown: bool = False, assessed: bool = True
     ) -> list[int]:
         """One set of all positions; returns its events' ids."""
         due = self.due[index]
@@ -211,7 +211,7 @@ class FilledFolder:
                 commit.features.append(
                     FeatureRow(**common, shot_index=None, sequence=None, n_valid=len(its), **found)
                 )
-                if judged:
+                if assessed:
                     commit.assessments.append(self.assessment(position, index, due.due_h))
             commit.events += self._events(due, position, place.method)
         committed = self.catalogue.commit_set(commit)
@@ -280,8 +280,8 @@ class FilledFolder:
         common = {"quality": "good", "extractor_version": "1", "n_valid": self.shots_per_set}
         found = self.features(position, planned_set, due.due_h)
         transaction.features.append(FeatureRow(**its, **common, **found, shot_index=None, sequence=None))
-        judged = self.assessment(position, planned_set, due.due_h)
-        transaction.assessments.append(replace(judged, **its, distance_squared=400.0, confirms=True))
+        assessment = self.assessment(position, planned_set, due.due_h)
+        transaction.assessments.append(replace(assessment, **its, distance_squared=400.0, confirms=True))
         self.catalogue.commit_set(transaction)
         return due.set_index
 
@@ -429,11 +429,11 @@ class FilledFolder:
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 
-    def shelve(self, alarm_id: int, because: str, *, for_h: float) -> None:
+    def shelve(self, alarm_id: int, reason: str, *, for_h: float) -> None:
         """Shelve an alarm, as the recorder does, from when it was raised and from now on."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._change(shelve(row, "ann", because, for_h, moment, time.time_ns()), moment)
+        self._change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""

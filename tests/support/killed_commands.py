@@ -100,10 +100,10 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     def moment() -> Moment:
         return Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None)
 
-    def confirmation(position: str, author: str, because: str) -> Transaction:
+    def confirmation(position: str, author: str, reason: str) -> Transaction:
         transaction = Transaction()
         first = plan(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
-        ledger.confirmations.add(because, first, position, moment(), transaction, author)
+        ledger.confirmations.add(reason, first, position, moment(), transaction, author)
         return transaction
 
     test = RunningTest(
@@ -200,12 +200,12 @@ def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
     for name, found in rows.items():
         newest = {event.payload[name]: event.payload for event in events if name in event.payload}
         kind = AlarmRow if name == "alarm_id" else AnnotationRow
-        told = [
+        from_events = [
             # An event may say more than its row: who reset an alarm.
             kind(**{key: value for key, value in {**payload, "id": number}.items() if key in kind.__slots__})
             for number, payload in newest.items()
         ]
-        if sorted(told, key=lambda row: row.id or 0) != found:
+        if sorted(from_events, key=lambda row: row.id or 0) != found:
             wrong.append(f"rows differ from what events tell, by {name}")
     if history.events != {row.id: row for row in events}:
         wrong.append("events and history differ")

@@ -179,10 +179,10 @@ class LeakGuard:
                 self._since.setdefault(thing, item.nodeid)
             return
         left = self._after_grace(left)
-        told = [f"{thing}, there since {self._since.get(thing, item.nodeid)}" for thing in sorted(left)]
+        leaked = [f"{thing}, there since {self._since.get(thing, item.nodeid)}" for thing in sorted(left)]
         self._since.clear()
-        if told:
-            pytest.fail("left behind: " + "; ".join(told), pytrace=False)
+        if leaked:
+            pytest.fail("left behind: " + "; ".join(leaked), pytrace=False)
 
     def _after_grace(self, left: set[str]) -> set[str]:
         deadline_s, pause, rounds = time.monotonic() + self._grace_s, threading.Event(), 0

@@ -62,14 +62,14 @@ def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
 
 def licence_of(package: Distribution) -> str:
     """SPDX expression, else classifiers, else the first line of the licence's text, else where it lies."""
-    told = metadata(package.metadata["Name"])
-    if expression := told["License-Expression"]:
+    fields = metadata(package.metadata["Name"])
+    if expression := fields["License-Expression"]:
         return str(expression)
-    classified = [text for text in told.get_all("Classifier") or [] if text.startswith("License :: OSI")]
+    classified = [text for text in fields.get_all("Classifier") or [] if text.startswith("License :: OSI")]
     if classified:
         return "; ".join(sorted(text.rpartition(" :: ")[2] for text in classified))
-    first_line = str(told["License"] or "").strip().partition("\n")[0][:_LONGEST]
-    return first_line or f"in its {', '.join(told.get_all('License-File') or [])}"
+    first_line = str(fields["License"] or "").strip().partition("\n")[0][:_LONGEST]
+    return first_line or f"in its {', '.join(fields.get_all('License-File') or [])}"
 
 
 def brought() -> dict[str, str]:

@@ -134,13 +134,13 @@ class ScriptedInstruments:
         self.calls.append(("make_safe", None))
 
     def _record(self, key: ShotKey) -> Waveform:
-        told = self.script(key)
-        if isinstance(told, InstrumentError):
-            raise told
-        if told is None:
+        scripted = self.script(key)
+        if isinstance(scripted, InstrumentError):
+            raise scripted
+        if scripted is None:
             raise AcquisitionTimeoutError(f"no trigger at {key.position}")
-        if isinstance(told, Waveform):
-            return told
+        if isinstance(scripted, Waveform):
+            return scripted
         counts = [ord(key.position[0]), *in_order(key.set_index), key.shot_index, key.attempt]
         return Waveform(
             counts=np.array(counts, dtype=np.int16),
@@ -160,12 +160,12 @@ class QuietHeartbeat:
     """Keeps what it is told."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
+        self.activities: list[str] = []
         self.stage: Stage = ""
         self.at_the_first: Callable[[], None] = lambda: None
 
     def beat(self, doing: str, *, at_once: bool = False) -> None:
-        self.told.append(doing)
+        self.activities.append(doing)
         act, self.at_the_first = self.at_the_first, lambda: None
         act()
 
@@ -208,7 +208,7 @@ class Line:
         compaction: SetFinalizer | None = None,
         machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
-        tell: Callable[..., None] = lambda event, **values: None,
+        notify: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -246,7 +246,7 @@ class Line:
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
-                tell=tell,
+                tell=notify,
                 left_alone=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(
@@ -270,11 +270,11 @@ class Line:
 
     def features_of(self, shot: Shot) -> ShotFeatures:
         """Features by the shot's key, as the script told them; of its record, where it told that."""
-        told = self.script(shot.key)
-        if isinstance(told, Waveform):
+        scripted = self.script(shot.key)
+        if isinstance(scripted, Waveform):
             return extract_features(shot.waveform)
-        assert isinstance(told, ShotFeatures), "only what was recorded is analysed"
-        return told
+        assert isinstance(scripted, ShotFeatures), "only what was recorded is analysed"
+        return scripted
 
     def epoch_ns(self, catalogue: RecorderCatalogue) -> int:
         """Hour 0; the first call gives the folder to these settings."""

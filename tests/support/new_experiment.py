@@ -32,7 +32,7 @@ def new_catalogue(folder: Path) -> RecorderCatalogue:
     return open_catalogue(folder, writer=True)
 
 
-def tell(catalogue: RecorderCatalogue, *kinds: str) -> None:
+def add_events(catalogue: RecorderCatalogue, *kinds: str) -> None:
     """Events of the recorder, one after the other."""
     for kind in kinds:
         catalogue.add_event(utc_ns=0, topic="service", kind=kind, payload={})

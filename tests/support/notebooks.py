@@ -53,13 +53,13 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
 
     tree = ast.parse(source)
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         exec(compile(tree, "cell", "exec"), names)
         value = None if last is None else eval(compile(ast.Expression(last.value), "cell", "eval"), names)
     outputs: list[dict[str, Any]] = []
-    if said.getvalue():
-        lines = said.getvalue().splitlines(keepends=True)
+    if output.getvalue():
+        lines = output.getvalue().splitlines(keepends=True)
         outputs.append({"output_type": "stream", "name": "stdout", "text": lines})
     if value is not None and not source.rstrip().endswith(";"):
         data = {"text/plain": repr(value).splitlines(keepends=True)}

@@ -125,7 +125,7 @@ def parsed_line(path: Path) -> str:
         return str(image.info.get("Description", ""))
 
 
-def told(picture: Picture) -> str:
+def source_of(picture: Picture) -> str:
     """Return what stands in the file of a picture."""
     return f"hour {picture.hour}, {picture.of}: {'; '.join(picture.shows)}"
 
@@ -144,7 +144,7 @@ def make(folder: Path) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.suffix == ".png":
                 with _page(browser, data, picture.hour) as (page, api):
-                    path.write_bytes(_small(_taken(page, api, picture), told(picture)))
+                    path.write_bytes(_small(_taken(page, api, picture), source_of(picture)))
             else:
                 screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
                 path.write_text(_drawn(screen.replace(place, "~"), picture), encoding="utf-8", newline="\n")
@@ -214,7 +214,7 @@ def _drawn(screen: str, picture: Picture) -> str:
     console = Console(record=True, width=width, file=io.StringIO(), force_terminal=True)
     console.print(text)
     svg = re.sub(r"@font-face \{[^}]*\}", "", console.export_svg(title=f"solimon {picture.of}"))
-    description = f"<desc>{escape(told(picture))}</desc>"
+    description = f"<desc>{escape(source_of(picture))}</desc>"
     return re.sub(r"(<svg [^>]*>)", lambda found: found[1] + description, svg, count=1)
 
 

@@ -122,7 +122,7 @@ def record(
     folder: Path,
     clock: Time,
     instruments: LongerRecords,
-    told_ids: list[int],
+    acknowledged_ids: list[int],
     stop: Stop,
     opened_by: Callable[[RigOpener], RigOpener] = lambda opener: opener,
 ) -> bool:
@@ -139,7 +139,7 @@ def record(
                     opened_by(opener),
                     stop=stop,
                     tell=lambda event, **values: None,
-                    acknowledged=told_ids.append,
+                    acknowledged=acknowledged_ids.append,
                     compaction_worker=AtOnce,
                     wall_clock=partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep),
                     listen_every_s=1.0,
@@ -148,37 +148,37 @@ def record(
 
 def begin(folder: Path) -> None:
     """Make a test that has begun: stopped after its second set."""
-    clock, told = Time(), list[int]()
+    clock, acknowledged_ids = Time(), list[int]()
     stop = Stop(clock)
     clock.look = lambda: (
         stop.set() if clock.now_ns > first_ns + (SETS_BEFORE + 0.7) * INTERVAL_S * 1e9 else None
     )
     first_ns = clock.now_ns
-    record(folder, clock, LongerRecords(healthy), told, stop)
-    (folder.parent / "begun.json").write_text(json.dumps({"now_ns": clock.now_ns, "told": told}))
+    record(folder, clock, LongerRecords(healthy), acknowledged_ids, stop)
+    (folder.parent / "begun.json").write_text(json.dumps({"now_ns": clock.now_ns, "told": acknowledged_ids}))
 
 
-class Told(logging.Handler):
+class FirstReport(logging.Handler):
     """When something was said for the first time after the first refusal, on the injected clock."""
 
     def __init__(self, clock: Time, refusals: Callable[[], int]) -> None:
         super().__init__(logging.WARNING)
         self._clock, self._refusals = clock, refusals
         self.first_s: float | None = None
-        self.said: list[str] = []
+        self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         if self._refusals():
             self.first_s = self._clock.s() if self.first_s is None else self.first_s
-            self.said.append(record.getMessage())
+            self.messages.append(record.getMessage())
 
 
 def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Go on with the test under one refusal; return what became of it."""
-    begun = json.loads((folder.parent / "begun.json").read_text())
+    start = json.loads((folder.parent / "begun.json").read_text())
     clock = Time()
-    clock.now_ns = begun["now_ns"]
-    told_ids: list[int] = begun["told"]
+    clock.now_ns = start["now_ns"]
+    acknowledged_ids: list[int] = start["told"]
     refusals: Callable[[], int] = ctypes.CDLL(os.environ["LD_PRELOAD"]).refusals
     trouble = trouble_of(case, folder, clock)
     if trouble is not None:
@@ -187,7 +187,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     seen_s: list[tuple[int, float]] = []
 
     def look() -> None:
-        assert clock.s() < begun["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {told.said[-3:]}"
+        assert clock.s() < start["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {reports.messages[-3:]}"
         if trouble is not None:
             trouble.look()
         if refusals() > (seen_s[-1][0] if seen_s else 0):
@@ -197,8 +197,8 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
             os.environ.pop("REFUSE_CALLS", None)
 
     clock.look = look
-    told = Told(clock, refusals)
-    logging.getLogger().addHandler(told)
+    reports = FirstReport(clock, refusals)
+    logging.getLogger().addHandler(reports)
     log_to(folder / "logs" / "recorder.log")
     if case.get("damaged"):
         (folder / DAMAGED).write_bytes(b"torn")
@@ -207,14 +207,14 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     finished = False
     while not finished and len(ends) < 50:
         try:
-            finished = record(folder, clock, instruments, told_ids, Stop(clock))
+            finished = record(folder, clock, instruments, acknowledged_ids, Stop(clock))
         except StorageError as error:
             logging.getLogger(__name__).warning("%s", error)
             ends.append(f"{'in' if instruments.calls else 'before'} the test: {error}")
             clock.sleep(1.0)  # as the supervisor, who starts it again
     os.environ.pop("REFUSE_CALLS", None)
     if left(folder):  # what could not be removed at the end is left to the next start
-        record(folder, clock, instruments, told_ids, Stop(clock))
+        record(folder, clock, instruments, acknowledged_ids, Stop(clock))
     found = outcome(folder, "wall")
     with open_catalogue(folder) as catalogue:
         alarms = [(row.kind, row.state) for row in catalogue.rows(AlarmRow)]
@@ -224,14 +224,14 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
         "ends": ends,
         "refusals": refusals(),
         "lasted_s": last_s - first_s,
-        "told_after_s": None if told.first_s is None else max(told.first_s - first_s, 0.0),
-        "said": told.said,
+        "told_after_s": None if reports.first_s is None else max(reports.first_s - first_s, 0.0),
+        "said": reports.messages,
         "alarms": alarms,
-        "lost": sorted(set(told_ids) - found.counts.keys()),
+        "lost": sorted(set(acknowledged_ids) - found.counts.keys()),
         "sets": sorted({(row.set_index, row.state, row.cause) for row in found.rows["sets"]}),
         "shots": len(found.counts),
         "keys": len(set(found.keys.values())),
-        "acknowledged": len(set(told_ids)),
+        "acknowledged": len(set(acknowledged_ids)),
         "left": left(folder),
         "set_aside": sorted(path.name for path in folder.glob("quarantine/*")),
     }
@@ -289,26 +289,26 @@ def trouble_of(case: dict[str, Any], folder: Path, clock: Time) -> Trouble | Non
     return next((Trouble(clock, case[name], do) for name, do in doings.items() if name in case), None)
 
 
-def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
+def in_a_fork(case: dict[str, Any], started_folder: Path) -> dict[str, Any]:
     """Run one case in a child of this process."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
         try:
-            folder = begun.parent / f"case {os.getpid()}" / "data"
+            folder = started_folder.parent / f"case {os.getpid()}" / "data"
             folder.parent.mkdir()
-            shutil.copytree(begun, folder)
-            shutil.copy(begun.parent / "begun.json", folder.parent)
-            told = follow(case, folder)
+            shutil.copytree(started_folder, folder)
+            shutil.copy(started_folder.parent / "begun.json", folder.parent)
+            result = follow(case, folder)
             noted = folder.parent / "refused.log"
             only_noted = not case.get("count") and noted.exists()
-            told["noted"] = noted.read_text().splitlines() if only_noted else []
-            told["folder"] = str(folder)
+            result["noted"] = noted.read_text().splitlines() if only_noted else []
+            result["folder"] = str(folder)
             shutil.rmtree(folder.parent)
         except BaseException:  # noqa: BLE001 - whatever ends a recorder is the answer
-            told = {"fault": traceback.format_exc()}
+            result = {"fault": traceback.format_exc()}
         with os.fdopen(writing, "w") as answer:
-            json.dump(told, answer)
+            json.dump(result, answer)
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as answer:
@@ -319,13 +319,13 @@ def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
 
 def main() -> None:
     """Make a test that has begun, then follow each case."""
-    begun = Path(sys.argv[1]) / "begun" / "data"
-    begun.parent.mkdir(parents=True)
-    begin(begun)
+    started_folder = Path(sys.argv[1]) / "begun" / "data"
+    started_folder.parent.mkdir(parents=True)
+    begin(started_folder)
     logging.getLogger().addHandler(logging.NullHandler())  # no log on standard error
     for line in sys.stdin:
         case = json.loads(line)
-        print(json.dumps({**case, **in_a_fork(case, begun)}), flush=True)
+        print(json.dumps({**case, **in_a_fork(case, started_folder)}), flush=True)
 
 
 if __name__ == "__main__":

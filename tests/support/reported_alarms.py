@@ -24,9 +24,9 @@ BEGAN_NS = 1_700_000_000 * NS_PER_S
 DUTY = {"url": "http://127.0.0.1:1/hook", "secret_env": "DUTY_SECRET"}
 
 
-def notifying(receivers: dict[str, Any] | None = None, **beside: Any) -> Settings:
+def notifying(receivers: dict[str, Any] | None = None, **further: Any) -> Settings:
     """Return settings with receivers; by default one that is told at once."""
-    return Settings(notifications={"receivers": receivers or {"duty": DUTY}, **beside})
+    return Settings(notifications={"receivers": receivers or {"duty": DUTY}, **further})
 
 
 class Alarms:
@@ -36,7 +36,7 @@ class Alarms:
         self.catalogue = new_catalogue(folder)
         self._now_ns = now_ns
 
-    def change(self, kind: str = "wall_change", *, present: bool = True, **beside: Any) -> int:
+    def change(self, kind: str = "wall_change", *, present: bool = True, **further: Any) -> int:
         """Carry an alarm over an assessment; return the id of its event."""
         condition = Condition(
             **{
@@ -44,7 +44,7 @@ class Alarms:
                 "family": "damage",
                 "severity": "high",
                 "message": f"{kind} is there",
-                **beside,
+                **further,
             },
             kind=kind,
             present=present,
@@ -119,7 +119,7 @@ class Bench:
         self.line.step()
         return self.sent[before:]
 
-    def told(self, what: str) -> list[Any]:
+    def outcomes(self, what: str) -> list[Any]:
         """Lines of the log of one kind, the oldest first."""
         found, _ = self.log.read(limit=1000)
         return [line for _, line in reversed(found) if line.what == what]

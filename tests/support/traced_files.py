@@ -270,8 +270,8 @@ def states(
             passed += 1
             if passed % ONE_IN:
                 continue
-        told = models if chosen is None else (models[len(seen) % len(models)],)
-        for model in told:
+        chosen_models = models if chosen is None else (models[len(seen) % len(models)],)
+        for model in chosen_models:
             state = disk.left(model, chance)
             key = hashlib.sha1(repr(disk.marks[-1:]).encode(), usedforsecurity=False)
             for path, content in state.items():

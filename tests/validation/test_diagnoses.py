@@ -45,7 +45,9 @@ def test_neither_healthy_runs_nor_re_seats_nor_sick_sensors_are_walls() -> None:
 @pytest.mark.parametrize(
     ("twin", "named", "never"), [(CORROSION, "wall", {"sensor", "coupling"}), (WORN, "sensor", {"wall"})]
 )
-def test_real_shots_tell_a_wall_from_worn_beads(twin: dict[str, Any], named: str, never: set[str]) -> None:
+def test_real_shots_separate_a_wall_change_from_worn_spheres(
+    twin: dict[str, Any], named: str, never: set[str]
+) -> None:
     schedule = {"phases": [{"until_h": END_H, "interval_h": 1.0}], "end_h": END_H}
     settings = load_settings(
         None,

@@ -94,7 +94,7 @@ def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
-def test_a_soft_limit_is_told_of_a_record_alone_by_its_own_height_and_width(benchmark, snr_db):
+def test_a_soft_limit_is_detected_from_one_record_by_its_height_and_width(benchmark, snr_db):
     def bent_to_70(scene):
         """Limit softly, as tanh: the top falls to .7 of the wave."""
         return scene.noisy(0.85 * scene.height * np.tanh(scene.wave(scene.isw_s) / 0.85))

@@ -70,7 +70,7 @@ def test_a_sound_acquisition_is_handed_on():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"samples": np.zeros(SAMPLES - 1)}, "asked for 4 records of 64 samples"),
         ({"told": RECORDS - 1}, "asked for 4 records of 64 samples"),
@@ -85,8 +85,8 @@ def test_a_sound_acquisition_is_handed_on():
         ({"offset": math.inf}, "gain and offset differ"),
     ],
 )
-def test_what_contradicts_itself_is_no_record(changes, said):
-    with pytest.raises(ConnectionLostError, match=said):
+def test_what_contradicts_itself_is_no_record(changes, message):
+    with pytest.raises(ConnectionLostError, match=message):
         fetch(Session(**changes), SETUP, WIRING, 1.5)
 
 

@@ -46,9 +46,9 @@ def test_an_unknown_name_is_refused_with_those_that_are_there(
     offer(monkeypatch, tmp_path, OFFERED)
     with pytest.raises(ConfigurationError) as refusal:
         find_kind("picoscope")
-    told = str(refusal.value)
-    assert told.startswith("no installed package offers the kind 'picoscope'; there are: daqmx, liar (lab-")
-    assert "python -m pip install" in told
+    text = str(refusal.value)
+    assert text.startswith("no installed package offers the kind 'picoscope'; there are: daqmx, liar (lab-")
+    assert "python -m pip install" in text
 
 
 @pytest.mark.parametrize("error", ["OSError('libps5000.so: not found')", "SystemExit(0)"])

@@ -35,8 +35,8 @@ class AnsweringLine:
         self.values[word] = value == "ON" if word == "OUTP" else float(value)
 
     def query_number(self, question, deadline_s, **_):
-        told = self.values[question.rstrip("?").removeprefix("MEAS:")]
-        return told + self.lies.get(question, 0.0)
+        number = self.values[question.rstrip("?").removeprefix("MEAS:")]
+        return number + self.lies.get(question, 0.0)
 
     def query_flag(self, question, deadline_s, **_):
         return self.values["OUTP"] if question == "OUTP?" else question in self.lies
@@ -101,7 +101,7 @@ def test_a_tripped_protection_is_left_for_a_person():
         ({"dialect": "korad"}, "dialect korad asks no protection"),
     ],
 )
-def test_a_protection_that_is_not_asked_for_is_told_as_unknown(changes, unknown):
+def test_a_protection_that_is_not_queried_is_reported_as_unknown(changes, unknown):
     supply = ScpiPowerSupply(
         replace(PARAMETERS, **changes), stamp=lambda: Stamp(utc_ns=0, mono_ns=0, boot_id="test")
     )
@@ -119,7 +119,7 @@ class StuckLine(AnsweringLine):
         return ConnectionLostError(message)
 
 
-def test_an_output_that_reads_back_as_on_is_never_told_as_off():
+def test_an_output_that_reads_back_as_on_is_never_reported_as_off():
     line = StuckLine()
     with pytest.raises(ConnectionLostError, match=r"what its output does is unknown: .* says it is on"):
         supply_on(line).make_safe()

@@ -63,8 +63,8 @@ def line(instrument, monkeypatch):
 )
 def test_units_headers_and_strays_are_understood(line, instrument, says, value):
     instrument.says = f"{says}\n".encode()
-    told = line.query_number("V1?", LATER_S, units=("V",), header="VP1", stray="K")
-    assert told == pytest.approx(value, rel=1e-12)  # the prefix is a product
+    number = line.query_number("V1?", LATER_S, units=("V",), header="VP1", stray="K")
+    assert number == pytest.approx(value, rel=1e-12)  # the prefix is a product
 
 
 @pytest.mark.parametrize("says", ["10.000A", "10.000MV", "10 Vrms", "I1 10.000", "V2 10.0", "10,000", "1_0"])

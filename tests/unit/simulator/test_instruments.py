@@ -279,34 +279,34 @@ class TestAhead:
         shoot(bench, key(0))
         assert RECORDS_AHEAD - LARGEST_GROUP < len(held.submitted) <= RECORDS_AHEAD
 
-    def test_a_strike_that_nobody_planned_waits_for_no_other(self, make_bench, held):
+    def test_an_unscheduled_strike_waits_for_no_other(self, make_bench, held):
         # The worker is held up: this would never end if the strike were queued behind those to come.
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = list(held.submitted)
+        submitted = list(held.submitted)
         assert_same(shoot(bench, key(0, attempt=1)), shoot(make_bench(), key(0, attempt=1)))
-        assert held.submitted == begun  # all of them are still expected
+        assert held.submitted == submitted  # all of them are still expected
         assert not any(future.cancelled() for future in held.futures)
 
     def test_what_is_expected_no_more_is_dropped(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = len(held.futures)
+        n_submitted = len(held.futures)
         clock.go_to_hour(50.0)
         shoot(bench, key(0, set_index=100))
-        assert all(future.cancelled() for future in held.futures[:begun])
-        assert held.groups[begun][0] == key(1, set_index=100)
-        assert not any(future.cancelled() for future in held.futures[begun:])
+        assert all(future.cancelled() for future in held.futures[:n_submitted])
+        assert held.groups[n_submitted][0] == key(1, set_index=100)
+        assert not any(future.cancelled() for future in held.futures[n_submitted:])
 
     def test_a_group_of_which_some_are_still_expected_goes_on(self, make_bench, clock, held):
         clock.go_to_hour(0.55)
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = list(held.submitted)
+        submitted = list(held.submitted)
         # The second to fourth strike do not come; they were begun together with the fifth.
         clock.now_ns += 12 * NS_PER_S
         assert_same(shoot(bench, key(3, attempt=1)), shoot(make_bench(), key(3, attempt=1)))
-        assert held.submitted == begun
+        assert held.submitted == submitted
         assert not any(future.cancelled() for future in held.futures)
 
     def test_a_retired_position_is_expected_again_once_it_strikes(self, make_bench, clock, executor):

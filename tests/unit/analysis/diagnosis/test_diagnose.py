@@ -66,7 +66,9 @@ def wall(depth: float) -> FloatArray:
     return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
 
 
-def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None) -> Iterator[Diagnosis]:
+def diagnoses(
+    change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
+) -> Iterator[Diagnosis]:
     """Verdicts of every fifth set after the baseline; a confirmation is struck after their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
@@ -83,7 +85,7 @@ def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = 
 
 
 def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
-    found = list(judged(wall(0.3)))
+    found = list(diagnoses(wall(0.3)))
     assert found[-1].cause == WALL
     assert found[-1].probability > 0.99
     assert found[-1].abrupt < 0.01
@@ -92,24 +94,24 @@ def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
     assert {one.cause for one in found} <= {OK, UNDETERMINED, WALL}
 
 
-def test_a_healthy_transducer_is_never_told_to_have_a_sick_wall() -> None:
-    causes = [one.cause for seed in range(5) for one in judged(np.zeros((AFTER, 7)), seed)]
+def test_a_healthy_transducer_is_never_diagnosed_as_wall_thinning() -> None:
+    causes = [one.cause for seed in range(5) for one in diagnoses(np.zeros((AFTER, 7)), seed)]
     assert WALL not in causes
     assert causes.count(OK) > 0.98 * len(causes)
 
 
 @pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
 def test_what_moves_the_incident_wave_is_the_sensor_s(target: FloatArray) -> None:
-    found = list(judged(growing(target)))
+    found = list(diagnoses(growing(target)))
     assert found[-1].cause == SENSOR
     assert WALL not in {one.cause for one in found}
 
 
 def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
-    alone = list(judged(np.tile(FOOT, (AFTER, 1))))
+    alone = list(diagnoses(np.tile(FOOT, (AFTER, 1))))
     assert alone[4].cause == UNDETERMINED
     assert alone[4].abrupt > 0.9
-    confirmed = list(judged(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
+    confirmed = list(diagnoses(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
     # It is remembered of all sets to come, though nothing is struck beside the plan any more.
     assert {one.cause for one in confirmed[6:]} == {COUPLING}
     assert confirmed[-1].probability > 0.9
@@ -119,18 +121,18 @@ def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
 
 @pytest.mark.parametrize("depth", [2, 4])
 def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth: int) -> None:
-    found = judged(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
+    found = diagnoses(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
     assert WALL not in {one.cause for one in found}
 
 
-def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
+def test_an_alarm_that_no_cause_explains_is_undetermined() -> None:
     logs = healthy(3)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
     assert diagnosis_of(memory, design).cause == OK
-    told = diagnosis_of(memory, design, suspicious=True)
-    assert (told.cause, told.probability) == (UNDETERMINED, told.probabilities[OK])
-    assert sum(told.probabilities.values()) == pytest.approx(1.0)
+    diagnosis = diagnosis_of(memory, design, suspicious=True)
+    assert (diagnosis.cause, diagnosis.probability) == (UNDETERMINED, diagnosis.probabilities[OK])
+    assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
 
 
 def test_what_is_remembered_survives_a_restart_as_json() -> None:
@@ -140,13 +142,15 @@ def test_what_is_remembered_survives_a_restart_as_json() -> None:
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
         stored["changes"] = tuple(tuple(one) for one in stored["changes"])
-        told = DiagnosisState(**(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")}))
-        assert told == memory
-        memory = with_set(told, design.mean, logs[index], index)
+        restored = DiagnosisState(
+            **(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")})
+        )
+        assert restored == memory
+        memory = with_set(restored, design.mean, logs[index], index)
     assert memory.n == 20
 
 
-def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_told() -> None:
+def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_reported() -> None:
     values: dict[str, float | None] = dict.fromkeys(COMPONENTS, 2.0)
     assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
     assert logs_of(values | {"isw_fwhm_s": None}) is None
@@ -155,12 +159,14 @@ def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_tol
         diagnosis_parameters(healthy(1)[:200, :5])
 
 
-def test_few_sets_make_a_design_too_and_tell_less_of_a_small_change() -> None:
+def test_few_sets_give_parameters_that_show_a_small_change_less() -> None:
     few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
-    told = [diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)]
-    assert told[0].probabilities[OK] > 0.9 > 0.5 > told[1].probabilities[OK]
+    diagnoses_of_both = [
+        diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)
+    ]
+    assert diagnoses_of_both[0].probabilities[OK] > 0.9 > 0.5 > diagnoses_of_both[1].probabilities[OK]
 
 
 def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began() -> None:
@@ -219,20 +225,20 @@ def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
     for index in range(BASELINE, BASELINE + 60):
         sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
         memory = with_set(memory, design.mean, sick, index)
-    told = diagnosis_of(memory, design)
-    assert told.probabilities[SENSOR] > 0.9
-    assert told.cause == UNDETERMINED
-    assert remembering(memory, told).wall
+    diagnosis = diagnosis_of(memory, design)
+    assert diagnosis.probabilities[SENSOR] > 0.9
+    assert diagnosis.cause == UNDETERMINED
+    assert remembering(memory, diagnosis).wall
     assert not remembering(memory, diagnosis_of(DiagnosisState(), design)).wall
 
 
 def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
     onset = np.arange(AFTER)[:, None] >= 60
     thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
-    causes = [one.cause for one in judged(thinner, confirmation=FOOT)]
+    causes = [one.cause for one in diagnoses(thinner, confirmation=FOOT)]
     assert causes[8] == COUPLING
     assert causes[-1] == WALL
-    back = [one.cause for one in judged(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
+    back = [one.cause for one in diagnoses(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
     assert (back[8], back[-1]) == (COUPLING, OK)
 
 

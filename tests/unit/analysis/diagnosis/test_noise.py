@@ -61,7 +61,7 @@ def test_differences_from_a_baseline_scatter_as_its_parts_make_them(
             assert found[5, 5] == pytest.approx(1.0 - 2.0 * mean @ to_planned + mean @ phi**apart @ mean)
 
 
-def test_where_a_baseline_ended_is_told_by_its_last_sets() -> None:
+def test_the_end_of_a_baseline_is_estimated_from_its_last_sets() -> None:
     changes = np.zeros((BASELINE, DIRECTIONS))
     changes[-1] = 1.0
     assert ends_of(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))

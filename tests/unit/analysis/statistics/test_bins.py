@@ -10,7 +10,7 @@ NAN = float("nan")
 
 def bins(**changed):
     """Bins of six sets: one without any value, one outlier, one missed."""
-    told = {
+    columns = {
         "set_index": [0, 1, 2, 3, 4, 7],
         "due_h": [0.5, 1.0, 1.5, 2.0, 2.5, 4.0],
         "values": [[1.0, 5.0], [3.0, NAN], [-2.0, 7.0], [NAN, NAN], [4.0, NAN], [6.0, NAN]],
@@ -21,7 +21,7 @@ def bins(**changed):
         "in_baseline": [True, False, False, False, False, False],
         "n_alarms": [0, 0, 1, 2, 0, 0],
     }
-    return bins_of_sets(**{**told, **changed})
+    return bins_of_sets(**{**columns, **changed})
 
 
 def test_a_bin_says_what_its_sets_say():

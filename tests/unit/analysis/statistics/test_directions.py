@@ -19,7 +19,7 @@ def test_directions_of_a_mixture_have_the_memory_that_was_mixed():
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6])
-def test_memory_that_all_share_is_found_as_exactly_as_all_of_them_tell(phi):
+def test_common_autocorrelation_is_estimated_from_all_features(phi):
     random, found, pooled = np.random.default_rng(1), [], []
     for _ in range(100):
         x = remembering(random.standard_normal((500, 5)), phi)

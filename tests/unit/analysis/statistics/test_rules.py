@@ -40,7 +40,7 @@ def test_three_of_six_do_not_raise():
     assert not any(active([X, O, O, X, O, X]))
 
 
-def test_alarm_stays_until_five_judged_sets_are_quiet():
+def test_alarm_stays_until_five_assessed_sets_are_quiet():
     assert active([X, X, X, O, O, O, O, O]) == [O, O, X, X, X, X, X, O]
     assert active([X, X, X, O, O, O, O, X, O, O, O, O, O])[-1] is False
 
@@ -114,7 +114,7 @@ def test_hole_does_not_heal():
     assert holes([HOLE_SET, HOLE_SET, WALL_SET, WALL_SET])[-1] is True
 
 
-def test_flag_counts_beside_other_flags():
+def test_a_flag_counts_together_with_other_flags():
     both = [("double", "no_psw")] * 7 + [HEARD] * 3
     assert next_hole_state(HoleState(sets_running=1), both).hole
 

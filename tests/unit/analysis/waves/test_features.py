@@ -259,9 +259,7 @@ def test_an_electrical_spike_is_not_a_strike():
 @pytest.mark.parametrize("ringing_hz", [0.0, 5e3, 50e3])
 @pytest.mark.parametrize("decay_s", [1e-6, 10e-6, 70e-6, 0.2e-3, 5e-3])
 @pytest.mark.parametrize("height_v", [0.3, -3.0, 4.9])
-def test_a_record_that_a_coil_s_spike_started_is_a_false_trigger_and_tells_of_no_wall(
-    height_v, decay_s, ringing_hz
-):
+def test_a_record_triggered_by_a_coil_spike_is_a_false_trigger_and_not_a_wall(height_v, decay_s, ringing_hz):
     """Whatever it looks like to the filters: too narrow, a wave without a reflection, a plateau."""
     t = NOISY.time_s()
     noise = 0.025 * np.random.default_rng(2).standard_normal(t.size)

@@ -58,7 +58,7 @@ def test_the_level_stands_on_the_inputs_offset():
     assert proposed(B=struck(offset_v=-0.1)).trigger_level_v == pytest.approx(0.15, abs=0.01)
 
 
-def test_a_falling_wave_triggers_on_its_way_down_and_its_leads_are_told():
+def test_a_falling_wave_triggers_downwards_and_reversed_leads_are_reported():
     found = proposed(B=struck(-2.5))
     assert found.troubles == {"B": "inverted"}, "its shots would be flagged so"
     assert not found.rising
@@ -66,7 +66,7 @@ def test_a_falling_wave_triggers_on_its_way_down_and_its_leads_are_told():
     assert found.surveys["B"].wave_v == pytest.approx(-2.5, abs=0.1)
 
 
-def test_leads_of_one_transducer_the_other_way_round_are_told():
+def test_reversed_leads_of_one_transducer_are_reported():
     found = proposed(B=struck(), C=struck(-4.0), D=struck())
     assert (found.rising, found.troubles) == (True, {"C": "inverted"})
 

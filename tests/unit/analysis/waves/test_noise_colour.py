@@ -38,7 +38,7 @@ def shots(rate_hz, ends_hz, n):
     # means is found by few coefficients of each record, in some not at all.
     [(20e6, 5e6, 0.2), (20e6, 2e6, 0.2), (10e6, 100e3, 0.3)],
 )
-def test_noise_that_ends_in_band_is_told_by_its_slow_part(rate_hz, ends_hz, within):
+def test_noise_that_ends_in_band_is_estimated_from_its_slow_part(rate_hz, ends_hz, within):
     found = shots(rate_hz, ends_hz, 150)
     for name in MOST_LISTED:
         scatter = np.std([getattr(shot, name) for shot in found], ddof=1)
@@ -66,7 +66,7 @@ def test_white_noise_has_no_memory():
 
 
 @pytest.mark.parametrize("isw_time_s", [float("nan"), SCENE.isw_time_s - 65e-6])
-def test_a_record_without_quiet_before_its_wave_is_told_from_all_of_it(isw_time_s):
+def test_noise_colour_uses_the_whole_record_when_the_pretrigger_is_not_quiet(isw_time_s):
     """As one with a short pre-trigger: nothing of the wave's flank counts as noise."""
     scene = SCENE.with_(noise_fraction=NOISE)
     found, record = colour(scene.volts(1), scene, isw_time_s)

@@ -48,13 +48,13 @@ def test_the_transducer_s_own_shot_stays_as_it_was():
         ({"pull_fraction": 0.06}, ("disturbed",)),
     ],
 )
-def test_what_is_not_its_own_is_told(changes, flags):
+def test_a_wave_unlike_the_template_is_flagged(changes, flags):
     found = compared(replace(SHOT, **changes), OWN)
     assert found.flags == flags
     assert found.valid is not bool(flags)
 
 
-def test_a_weak_strike_keeps_its_own_wave_and_tells_of_no_wall():
+def test_a_weak_strike_keeps_its_incident_wave_and_has_no_wall_features():
     found = compared(replace(SHOT, isw_amplitude_v=0.4), OWN)
     assert (found.isw_amplitude_v, found.isw_time_s, found.noise_rms_v) == (0.4, 5e-5, 0.02)
     assert math.isnan(found.tof_mf_s)
@@ -96,7 +96,7 @@ def test_it_is_learnt_from_valid_shots_if_there_are_three():
     assert own.earliest_tof_s == pytest.approx(0.9 * 335e-6)
 
 
-def test_weak_strikes_are_told_where_every_second_one_is_weak():
+def test_weak_strikes_are_flagged_where_every_second_one_is_weak():
     shots = [SHOT, replace(SHOT, isw_amplitude_v=0.4)] * 5
     own = learnt(shots)
     assert [compared(shot, own).flags for shot in shots] == [(), ("missed",)] * 5

@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
@@ -35,7 +35,7 @@ def set_row(position, **told):
 def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_file(
     catalogue, follower, tmp_path
 ):
-    tell(catalogue, "one", "two")
+    add_events(catalogue, "one", "two")
     order = catalogue.add_command("Ada", "hold", {})
     follower.follow()
     catalogue.start_command(order)
@@ -118,9 +118,9 @@ def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_pa
 
 
 def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, follower, tmp_path):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     follower.follow()
-    tell(catalogue, "two")
+    add_events(catalogue, "two")
     for _ in range(2):
         HistoryFollower(tmp_path, catalogue).begin()
     history = read_history(tmp_path)
@@ -132,7 +132,7 @@ def test_at_most_once_a_second(catalogue, tmp_path):
     now = [0.0]
     follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
     follower.begin()
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     now[0] = 0.9
     follower.follow()
     assert not read_history(tmp_path).events
@@ -142,7 +142,7 @@ def test_at_most_once_a_second(catalogue, tmp_path):
 
 
 def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_path):
-    tell(catalogue, "one", "two")
+    add_events(catalogue, "one", "two")
     follower.follow()
     path = tmp_path / HISTORY_FILE
     path.write_bytes(path.read_bytes()[:-9])
@@ -166,7 +166,7 @@ def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_
 def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
     catalogue, follower, tmp_path, damaged, lacking
 ):
-    tell(catalogue, "one", "two", "three")
+    add_events(catalogue, "one", "two", "three")
     follower.follow()
     path = tmp_path / HISTORY_FILE
     path.write_bytes(b"".join(damaged(path.read_bytes().splitlines(keepends=True))))
@@ -176,7 +176,7 @@ def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
 
 
 def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tmp_path, monkeypatch, caplog):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     written = os.write
 
     def half(descriptor, content):
@@ -187,7 +187,7 @@ def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tm
     for _ in range(2):
         follower.follow()
     monkeypatch.undo()
-    tell(catalogue, "two")
+    add_events(catalogue, "two")
     follower.follow()
     history = read_history(tmp_path)
     assert ([event.kind for event in history.events.values()], history.damage) == (["one", "two"], [])
@@ -195,7 +195,7 @@ def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tm
 
 
 def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue, follower, tmp_path):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     follower.follow()
     with (tmp_path / HISTORY_FILE).open("ab") as file:
         event = {"id": 2, "utc_ns": 0, "topic": "service", "kind": "two", "payload": {}}
@@ -215,10 +215,10 @@ def test_a_history_of_another_experiment_is_refused_with_both(catalogue, followe
 
 
 def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypatch):
-    tell(catalogue, *("told" for _ in range(50)))
+    add_events(catalogue, *("told" for _ in range(50)))
     follower.follow()
     monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
-    tell(catalogue, "new")
+    add_events(catalogue, "new")
     HistoryFollower(tmp_path, catalogue).begin()
     history = read_history(tmp_path)
     assert (len(history.events), history.last_number, history.damage) == (51, 52, [])

@@ -117,7 +117,7 @@ def test_a_cause_that_is_not_healthy_is_told_in_a_line_of_its_own(filled: Filled
 
 
 def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
-    filled.add_set(SETS, stored=False, judged=False)
+    filled.add_set(SETS, stored=False, assessed=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
     assert f" of {LIMIT_CHART}" not in row
@@ -238,7 +238,7 @@ def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
 
 def test_a_transducer_whose_baseline_has_no_limits_is_told_not_to_be_judged(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False, judged=False)
+    filled.add_set(0, stored=False, assessed=False)
     why = "a baseline of 14 sets; it needs 15"
     nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": why}
     filled.catalogue.commit_set(
@@ -322,7 +322,7 @@ def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
 
 def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False, judged=False)
+    filled.add_set(0, stored=False, assessed=False)
     row = line_of(status_of(filled), " D")
     assert row.startswith(" D  learning  ToF ")
     assert "  none yet  -  good, n = 1  " in row

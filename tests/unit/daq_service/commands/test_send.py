@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
@@ -31,7 +31,7 @@ class Recorder:
         self.folder, self.catalogue = folder, catalogue
         self.answer = ("done", "")
         self.seen: list[tuple[str, str, dict[str, Any]]] = []
-        tell(catalogue, "recorder_started")
+        add_events(catalogue, "recorder_started")
         beat(folder)
 
     def look(self, seconds: float) -> None:
@@ -155,7 +155,7 @@ def power_cut(recorder: Recorder) -> None:
 
 
 def stopped(recorder: Recorder) -> None:
-    tell(recorder.catalogue, "recorder_stopped")
+    add_events(recorder.catalogue, "recorder_stopped")
     beat(recorder.folder, "ended")
 
 
@@ -176,7 +176,7 @@ def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable
 
 @pytest.mark.parametrize("told", ["schedule_done", "recorder_stopped"])
 def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder: Recorder, told: str) -> None:
-    tell(recorder.catalogue, told)
+    add_events(recorder.catalogue, told)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
         recorder.given("hold", note="why")
@@ -189,7 +189,7 @@ def test_a_recorder_that_opens_its_rig_is_not_denied_and_gets_no_order(recorder:
 def test_a_recorder_that_lingers_or_was_started_again_listens(
     recorder: Recorder, told: list[str], stage: Stage
 ) -> None:
-    tell(recorder.catalogue, *told)
+    add_events(recorder.catalogue, *told)
     beat(recorder.folder, stage)
     assert recorder.given("hold", note="why") == 0
     assert len(recorder.seen) == 1

@@ -133,16 +133,16 @@ def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
-    assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.told)
-    assert line.heartbeat.told[-2].endswith(f"set {SETS - 1}"), "and no longer once it is over"
-    assert line.heartbeat.told[-1] == "leaving"
+    assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.activities)
+    assert line.heartbeat.activities[-2].endswith(f"set {SETS - 1}"), "and no longer once it is over"
+    assert line.heartbeat.activities[-1] == "leaving"
 
 
 def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
     line.settings = memory_settings(clock={"kind": "wall"})
     disk = FullDisk(line, 3, 4)
     assert line.run(archive=disk, mono_s=Seconds(0.4))
-    waited = [doing for doing in line.heartbeat.told if "wait in memory" in doing]
+    waited = [doing for doing in line.heartbeat.activities if "wait in memory" in doing]
     assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
     assert line.instruments[0].struck == whole.instruments[0].struck
     for table in ("sets", "features", "verdicts"):
@@ -301,7 +301,7 @@ def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
     assert [row.payload["level"] for row in told(line, "disk_space")] == ["stop", "ample"]
     assert any(
         "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
-        for doing in line.heartbeat.told
+        for doing in line.heartbeat.activities
     )
 
 
@@ -614,7 +614,7 @@ def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
         return sync()
 
     def script(key):
-        told.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        told.append((key.position, key.shot_index, line.heartbeat.activities[-1:]))
         return healthy(key)
 
     archive.sync, line.script = refusing, script
@@ -724,13 +724,13 @@ def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
 
 def test_the_supervisor_is_told_what_is_begun(line):
     line.run()
-    begun = line.heartbeat.told
+    begun = line.heartbeat.activities
     assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
 
 
 def test_a_recorder_that_waits_gives_signs_of_life(line):
     line.run()
-    told = line.heartbeat.told
+    told = line.heartbeat.activities
     waits = [f"waiting for set {index}" for index in range(SETS)]
     assert [doing for doing in dict.fromkeys(told) if doing in waits] == waits
 

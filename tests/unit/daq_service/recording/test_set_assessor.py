@@ -440,7 +440,7 @@ def test_whoever_started_the_test_hears_of_gaps_and_alarms_once_they_are_stored(
         if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
             news.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
 
-    line.run(tell=tell)
+    line.run(notify=tell)
     gap, alarm = news
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])

@@ -99,7 +99,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")
-        assert line.run(clock=clock, tell=told_too)
+        assert line.run(clock=clock, notify=told_too)
         manager.hear()
     manager.hear()
     return told

@@ -61,17 +61,17 @@ def test_files_of_sets_count_as_ever_and_a_probe_s_channel_gives_echoes(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("names", "told"),
+    ("names", "message"),
     [
         (["B", "B_0"], "channels 'B' and 'B_0' are both shot 0 of 'B'"),
         (["B1", "B 1", "C"], "channels 'B1' and 'B 1' are both shot 1 of 'B'"),
     ],
 )
-def test_two_names_for_one_shot_are_refused_with_the_names_found(tmp_path, names, told):
+def test_two_names_for_one_shot_are_refused_with_the_names_found(tmp_path, names, message):
     path = recording(tmp_path / "x.tdms", *names)
     with pytest.raises(ConfigurationError) as refusal:
         found(path)
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
     assert f"its channels are: {', '.join(sorted(names))}; say which" in str(refusal.value)
 
 

@@ -124,7 +124,7 @@ def test_a_timeout_must_be_positive():
             call()
 
 
-def test_a_shot_where_an_echo_was_promised_is_said():
+def test_a_shot_in_place_of_an_echo_is_reported():
     shot = make_shot("A", 0, 1)
     source = ShotsBySet({"A": "pulse_echo"}, lambda set_index: [shot])
     with pytest.raises(ConfigurationError, match="has a Acquired at the pulse_echo position 'A'"):

@@ -98,13 +98,13 @@ def test_big_endian_codes_keep_their_size(tmp_path):
     lead_in = b"TDSm" + struct.pack("<L", 0x2 | 0x4 | 0x8 | 0x40)
     lead_in += struct.pack(">LQQ", 4713, len(meta) + len(raw), len(meta))
     (tmp_path / "set_7.tdms").write_bytes(lead_in + meta + raw)
-    told = {
+    mapping = {
         "coefficients_v": (0.0, 1e-5),
         "sample_rate_hz": 1e7,
         "pretrigger_samples": 1,
         "resolution_bits": 18,
     }
-    found = played(tmp_path, **told)
+    found = played(tmp_path, **mapping)
     assert found.waveform.counts.dtype == np.dtype(np.int32)
     assert found.waveform.counts.tolist() == counts.tolist()
 
@@ -123,17 +123,17 @@ def daqmx_raw_file(path, counts, scalers, properties):
         index += struct.pack("<LLLLL", 3, 0, offset, 0, scale_id)
     index += struct.pack("<LL", 1, 2 * len(scalers))
     meta = struct.pack("<L", 1) + text("/'B'/'shot_3'") + index
-    told = b"".join(text(name) + struct.pack("<Ld", 10, value) for name, value in properties.items())
-    meta += struct.pack("<L", len(properties)) + told
+    encoded = b"".join(text(name) + struct.pack("<Ld", 10, value) for name, value in properties.items())
+    meta += struct.pack("<L", len(properties)) + encoded
     rows = np.repeat(counts[:, None], len(scalers), axis=1).astype("<i2").tobytes()
     lead_in = b"TDSm" + struct.pack("<LLQQ", 0x8E, 4713, len(meta) + len(rows), len(meta))
     path.write_bytes(lead_in + meta + rows)
 
 
 def test_codes_that_daqmx_logged_are_codes(tmp_path):
-    told = {"wf_increment": 1e-7, "wf_start_offset": -1e-6}
+    properties = {"wf_increment": 1e-7, "wf_start_offset": -1e-6}
     counts = counts_of(1, 300)
-    daqmx_raw_file(tmp_path / "set_7.tdms", counts, [(0, 0)], told)
+    daqmx_raw_file(tmp_path / "set_7.tdms", counts, [(0, 0)], properties)
     waveform = played(tmp_path, coefficients_v=(0.0, 1e-3)).waveform
     assert waveform.counts.dtype == np.int16
     assert waveform.counts.tobytes() == counts.tobytes()
@@ -298,9 +298,9 @@ def test_whole_rates_survive_their_reciprocal(tmp_path, rate_hz):
 
 
 @pytest.mark.parametrize("offset", [None, 0.0, 1e-5])
-def test_a_trigger_that_is_not_told_is_asked_for(tmp_path, offset):
-    told = {} if offset is None else {"wf_start_offset": offset}
-    one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_offset") | told)
+def test_a_missing_trigger_position_is_requested(tmp_path, offset):
+    offsets = {} if offset is None else {"wf_start_offset": offset}
+    one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_offset") | offsets)
     with pytest.raises(
         ConfigurationError, match=r"where the trigger is cannot be told.*give pretrigger_samples"
     ):
@@ -375,7 +375,7 @@ def test_names_may_count_from_1_and_positions_have_other_names(tmp_path):
     assert_same_waveform(found.waveform, replace_range(SHOT.waveform))
 
 
-def test_properties_may_tell_everything(tmp_path):
+def test_properties_may_supply_all_settings(tmp_path):
     properties = RAW | {"Shot number": 4}
     write(
         tmp_path / "data.tdms",
@@ -384,12 +384,12 @@ def test_properties_may_tell_everything(tmp_path):
         root={"Set": "7"},
     )
     patterns = {"file_pattern": ".*", "group_pattern": ".*", "channel_pattern": ".*"}
-    told = {"position_property": "Channel", "set_property": "Set", "shot_property": "Shot number"}
-    with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **told, first_shot=1)) as shots:
+    mapping = {"position_property": "Channel", "set_property": "Set", "shot_property": "Shot number"}
+    with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **mapping, first_shot=1)) as shots:
         assert shots.keys == [KEY]
         assert shots.positions == {"B": "solitary_wave"}
     with pytest.raises(ConfigurationError, match="property 'Sets' that tells the set is missing"):
-        open_tdms(tmp_path, TdmsMapping(**patterns, **told | {"set_property": "Sets"}))
+        open_tdms(tmp_path, TdmsMapping(**patterns, **mapping | {"set_property": "Sets"}))
 
 
 @pytest.mark.parametrize("number", ["three", "3.5", 2.5, -1])
@@ -492,7 +492,7 @@ def test_an_empty_channel_was_not_recorded(tmp_path):
         assert shots.find(replace(KEY, shot_index=2)) is None
 
 
-def test_no_folder_and_no_file_are_said(tmp_path):
+def test_a_missing_folder_and_missing_files_are_reported(tmp_path):
     with pytest.raises(ConfigurationError, match="there is no TDMS file or folder"):
         open_tdms(tmp_path / "nowhere")
     with pytest.raises(ConfigurationError, match=r"has no file '\*\*/\*\.tdms'"):
@@ -573,7 +573,7 @@ def test_a_file_cut_anywhere_is_refused_unless_it_ends_with_a_whole_record(tmp_p
     assert "set_000007.tdms is cut short" in found[len(first) + 40]
 
 
-def test_an_index_file_beside_it_is_not_believed(tmp_path):
+def test_an_index_file_next_to_the_data_file_is_ignored(tmp_path):
     path = write_set(tmp_path, 7, [make_shot("B", 2, 42)])
     index = path.read_bytes().replace(b"TDSm", b"TDSh")
     write_set(tmp_path, 7, [SHOT])
@@ -620,7 +620,7 @@ def test_a_record_shorter_than_it_says_is_refused(tmp_path):
         open_tdms(tmp_path)
 
 
-def test_a_file_that_vanished_is_said_when_its_shot_is_asked_for(tmp_path):
+def test_a_missing_file_is_reported_when_its_shot_is_read(tmp_path):
     path = write_set(tmp_path, 7, [SHOT])
     with open_tdms(tmp_path) as shots:
         path.unlink()
@@ -628,7 +628,7 @@ def test_a_file_that_vanished_is_said_when_its_shot_is_asked_for(tmp_path):
             shots.find(KEY)
 
 
-def test_a_file_that_changed_is_said_when_its_shot_is_asked_for(tmp_path):
+def test_a_changed_file_is_reported_when_its_shot_is_read(tmp_path):
     write_set(tmp_path, 7, [SHOT])
     with open_tdms(tmp_path) as shots:
         write_set(tmp_path, 7, [make_shot("B", 3, 43, n_samples=200)])

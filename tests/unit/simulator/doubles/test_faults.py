@@ -69,7 +69,7 @@ def test_cleared_orders_are_forgotten(brain, me):
     assert outcome(me, "CreateTask") == 0
 
 
-def test_the_record_tells_what_was_answered(brain, me):
+def test_the_record_contains_the_answers(brain, me):
     brain.faults.inject("DAQmxGetSystemInfoAttribute", "error", code=-50103)
     outcome(me, "GetSystemInfoAttribute", attribute=0x193B)
     call = brain.record()["calls"][-1]
@@ -178,9 +178,9 @@ def test_a_lying_rate_looks_coerced(brain, me):
 
 @pytest.mark.parametrize("entry", TABLE.values(), ids=lambda entry: entry.name)
 def test_every_call_that_answers_can_lie(entry):
-    told = [parameter for parameter in entry.parameters if parameter.goes_out]
+    outputs = [parameter for parameter in entry.parameters if parameter.goes_out]
     truth = {}
-    for parameter in told:
+    for parameter in outputs:
         if parameter.role.value == "out_text":
             truth[parameter.name] = "something"
         elif parameter.role.value == "out_array":

@@ -387,25 +387,25 @@ def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(on
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"plate_modulus_factor": 0.0}, "plate_modulus_factor is 0.0; it must be positive"),
         ({"contacts": (np.ones(9), np.ones(8))}, r"damping_factor is \[.*it must be 9 positive numbers"),
         ({"contacts": (np.full(9, np.nan), np.ones(9))}, "stiffness_factor is .*it must be 9 positive"),
     ],
 )
-def test_a_seat_that_is_none_is_refused(given, told):
+def test_a_seat_that_is_none_is_refused(given, message):
     if "contacts" in given:
         stiffness, damping = given["contacts"]
         given = {"contacts": Contacts(stiffness_factor=stiffness, damping_factor=damping)}
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         MODEL.shots([Impact(**given)])
 
 
 # ---- sounds
 
 
-def test_noisy_hours_knocks_and_bursts_are_heard_and_told(only):
+def test_noisy_hours_knocks_and_bursts_are_recorded_with_their_truth(only):
     loud = replace(QUIET, noise=NoiseParameters())
     plain = specimen(loud).solitary_wave(key(), 1.0)
     noisy = only(loud, noisy_hour_probability=1.0, noisy_factor=3.0).solitary_wave(key(), 1.0)

@@ -43,16 +43,16 @@ def test_the_memory_from_set_to_set_is_that_of_an_ar1_process(memory):
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8])
-def test_a_set_beside_the_plan_remembers_the_planned_one_before_it(memory):
+def test_an_unscheduled_set_is_correlated_with_the_scheduled_set_before_it(memory):
     last = LAGS - 1  # the next planned set lies in the next block
     planned, following = series(memory, sets=2, first=last)
-    beside, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
+    unscheduled, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
     # As between neighbouring planned sets. 4 of 1 / sqrt(n), widened by the kurtosis of t5.
     slack = 4.0 * np.sqrt(3.0 / WIDE)
-    assert (beside * planned).mean() == pytest.approx(memory, abs=slack)
-    assert (beside * following).mean() == pytest.approx(memory**2, abs=slack)
-    assert (beside * another).mean() == pytest.approx(memory**2, abs=slack)
-    assert not np.any(beside == following)
+    assert (unscheduled * planned).mean() == pytest.approx(memory, abs=slack)
+    assert (unscheduled * following).mean() == pytest.approx(memory**2, abs=slack)
+    assert (unscheduled * another).mean() == pytest.approx(memory**2, abs=slack)
+    assert not np.any(unscheduled == following)
 
 
 def test_the_tails_are_student_s():
@@ -111,7 +111,7 @@ def test_as_many_hours_are_noisy_as_is_stated_and_everywhere_the_same():
 
 
 def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
-    def told(set_index):
+    def values_of(set_index):
         weights = memory_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
@@ -122,8 +122,8 @@ def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
         )
 
     order = [0, 1, 63, 64, 65, 127, 128, 424]
-    forth = {index: told(index) for index in order}
+    forth = {index: values_of(index) for index in order}
     for drawn in DRAWN:
         drawn.cache_clear()  # as a new process would begin
     for index in reversed(order):
-        np.testing.assert_array_equal(told(index), forth[index])
+        np.testing.assert_array_equal(values_of(index), forth[index])

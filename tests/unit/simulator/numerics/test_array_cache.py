@@ -121,7 +121,7 @@ def test_a_file_that_a_reader_holds_on_windows_is_left_without_a_word(tmp_path, 
     assert [path.name for path in tmp_path.iterdir()] == ["key.arrays"]
 
 
-def test_what_a_killed_writer_left_is_swept_by_whoever_looks_later(tmp_path):
+def test_the_leftovers_of_a_killed_writer_are_swept_by_the_next_reader(tmp_path):
     kept_arrays(tmp_path, "key", lambda: ARRAYS)
     names = ("fresh.part", "old.part", "mine.txt")
     for name in names:

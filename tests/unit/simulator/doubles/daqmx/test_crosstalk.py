@@ -156,11 +156,11 @@ def test_an_acquisition_that_waits_for_the_falling_edge_does_not_hear_the_rising
     task = free(me, 100)
     start_by(me, task)
     coil = shot(me, task)
-    begun_ns = brain.bench.clock.now_ns()
+    start_ns = brain.bench.clock.now_ns()
     me("WaitUntilTaskDone", task, time_to_wait=1.0)
     low = brain.record()["lines"][-1]
     assert low["level"] == 0
-    assert brain.bench.clock.now_ns() == low["ns"] + 10_000 > begun_ns + 3_000_000
+    assert brain.bench.clock.now_ns() == low["ns"] + 10_000 > start_ns + 3_000_000
     me("ClearTask", coil)
 
 
@@ -182,7 +182,7 @@ def test_a_pulse_that_is_stopped_starts_at_its_own_end_or_never(brain, me, passe
         assert brain.bench.clock.now_ns() - stopped_ns == round(done_after_s * 1e9)
 
 
-def test_a_wave_upon_crosstalk_is_told_apart_and_keeps_its_shape():
+def test_a_wave_on_crosstalk_is_separated_and_keeps_its_shape():
     """What is left of the ringing when the wave comes moves the trigger and adds to the volts, no more."""
     records = []
     for crosstalk in ({}, {"off_v": 0.2, "decay_s": 20e-3}):

@@ -76,7 +76,7 @@ def test_a_board_comes_back_under_another_name_with_its_serial_number(brain, me)
     me("StartTask", me.digitizer("Dev7/ai0"))
 
 
-def test_a_board_nobody_knows_has_no_name(me):
+def test_an_unknown_board_has_no_name(me):
     assert code_of(me, "GetDeviceAttribute", device_name="Dev99", attribute=SERIAL_NUMBER) == -200220
 
 
@@ -123,7 +123,7 @@ def test_self_calibration_changes_the_polynomial_and_its_date(brain, me):
     assert me("GetCalInfoAttribute", device_name=BOARD, attribute=0x1864)["value"] == 38.5
 
 
-def test_self_calibration_waits_for_nobody(brain, me):
+def test_self_calibration_fails_while_a_task_reserves_the_board(brain, me):
     me.control(me.digitizer(INPUT, name="digitizer C"), COMMIT)
     with pytest.raises(Status, match="digitizer C") as caught:
         Caller(brain)("SelfCal", device_name=BOARD)
@@ -280,7 +280,7 @@ def test_lines_are_guarded_by_watchdog_tasks_only(me):
     assert code_of(me, "CfgWatchdogDOExpirStates", me.coil(COUNTER), **arguments) == -200635
 
 
-def test_expiry_is_told_only_while_the_watchdog_is_reserved(me):
+def test_expiry_is_readable_only_while_the_watchdog_is_reserved(me):
     watch = watchdog(me)
     assert me("GetWatchdogAttribute", watch, attribute=EXPIRED)["value"] == 0
     me("StopTask", watch)

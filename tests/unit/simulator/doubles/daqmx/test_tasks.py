@@ -163,7 +163,7 @@ def test_channels_that_are_not_there(brain, me, name, code):
     refused(code, me, "CreateAIVoltageChan", task, physical_channel=name)
 
 
-def test_the_last_channel_made_is_told(brain, me):
+def test_the_last_channel_is_returned(brain, me):
     me.digitizer(f"{BOARD}/ai5")
     assert me("InternalGetLastCreatedChan")["value"] == f"{BOARD}/ai5"
 

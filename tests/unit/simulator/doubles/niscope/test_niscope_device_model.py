@@ -278,7 +278,7 @@ def test_a_board_belongs_to_one_session(scope):
     Scope(brain).open()
 
 
-def test_a_client_that_dies_leaves_nothing_reserved_but_is_told_of(scope):
+def test_a_client_that_dies_is_reported_and_leaves_nothing_reserved(scope):
     assert scope.brain.open_sessions() == [("1", "PXI1Slot4")]
     assert scope.brain.client_gone("1") == ["PXI1Slot4"]
     assert scope.brain.open_sessions() == []

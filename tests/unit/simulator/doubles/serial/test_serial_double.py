@@ -72,7 +72,7 @@ def test_a_tripped_protection_keeps_it_off_until_cleared(supply):
     assert supply.on
 
 
-def test_its_record_tells_who_switched(supply):
+def test_the_record_of_the_double_names_who_switched(supply):
     supply.press_output_key(False)
     supply.press_output_key(False)
     supply.answer("OUTP ON")

@@ -164,7 +164,7 @@ def test_a_warning_is_no_error(script, task):
     task.stop()
 
 
-def test_a_short_read_tells_how_many_samples_came(script, task):
+def test_a_short_read_returns_the_number_of_samples(script, task):
     task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
     script.answers["DAQmxReadBinaryI16"] = Status(
         -200284, values={"read_array": np.zeros(10, dtype=np.int16), "samps_per_chan_read": 7}
@@ -324,7 +324,7 @@ def test_what_a_killed_client_held_stays_held_until_somebody_attaches_and_clears
         front.close()
 
 
-def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_nobody(script, channel):
+def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_no_other_call(script, channel):
     release, entered = threading.Event(), threading.Event()
 
     def hang(function, arguments):

@@ -289,7 +289,7 @@ def test_text_never_runs_over_its_room(meeting, double_library, room, status, fo
     assert text.raw[max(room, 1) :].startswith(b"xxxx")
 
 
-def test_an_attribute_that_nobody_knows_writes_nothing(meeting, double_library):
+def test_an_unknown_attribute_writes_nothing(meeting, double_library):
     library, number = c_library(double_library), ctypes.c_double(77.0)
     assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", 0x7FFF, ctypes.byref(number)) == -200233
     assert number.value == 77.0
