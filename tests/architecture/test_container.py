@@ -33,7 +33,7 @@ def test_every_instruction_is_one() -> None:
     )
 
 
-def test_what_it_copies_from_here_is_here() -> None:
+def test_every_copied_file_exists() -> None:
     here = [words.split()[:-1] for words in arguments_of("COPY") if not words.startswith("--from")]
     assert [name for names in here for name in names if not (ROOT / name).exists()] == []
 
@@ -47,7 +47,7 @@ def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder() -> None:
     assert (order[1][1], order[2][1]) == ("solimon", "/data")
 
 
-def test_what_it_starts_is_a_command_of_ours_on_the_port_it_asks() -> None:
+def test_the_container_starts_our_command_on_its_exposed_port() -> None:
     program, *_ = json.loads(arguments_of("ENTRYPOINT")[0])
     word, *arguments = json.loads(arguments_of("CMD")[0])
     options = cli.commands[word].make_context(word, arguments).params
@@ -78,7 +78,7 @@ def page(status: int) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False), (None, False)])
-def test_its_health_check_asks_the_page(status: int | None, healthy: bool) -> None:
+def test_the_health_check_requests_the_page(status: int | None, healthy: bool) -> None:
     python, dash_c, program = json.loads(arguments_of("HEALTHCHECK")[0].partition("CMD ")[2])
     assert (python, dash_c) == ("python", "-c")
     with page(status or 200) as port:

@@ -160,7 +160,7 @@ def test_a_process_or_an_open_file_left_behind_fails_its_test(failures: dict[str
     assert "test_wrongdoers.py)" in failures["test_leaves_an_open_file"]
 
 
-def test_a_fixture_of_a_module_owes_its_threads_until_it_ends(failures: dict[str, str]) -> None:
+def test_a_module_fixture_may_keep_its_threads_until_it_ends(failures: dict[str, str]) -> None:
     assert failures["test_the_pool_grows"] == ""
     assert "left behind: thread 'forgotten'" in failures["test_is_the_last_with_the_pool"]
     assert "::test_leaves_a_thread_beside_the_pool" in failures["test_is_the_last_with_the_pool"]

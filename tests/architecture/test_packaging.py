@@ -32,7 +32,7 @@ def test_everything_installed_is_pinned() -> None:
 
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("python", sorted(set(TESTED_ON)))
-def test_what_is_needed_on_another_system_is_pinned_there(system: str, python: str) -> None:
+def test_packages_for_another_system_are_pinned_for_it(system: str, python: str) -> None:
     """By what the installed packages say that they need there."""
     here = {**SYSTEMS[system], "python_version": python, "python_full_version": f"{python}.0"}
     found = {(name, str(wanted)): wanted for extra in EXTRAS for name, wanted in needs(extra, here)}

@@ -95,7 +95,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
     return {name: Recorded(*one) for name, one in zip(COMMANDS, records, strict=True)}
 
 
-def test_a_simulated_test_asks_for_none_of_them_and_for_no_compiler(recorded: dict[str, Recorded]) -> None:
+def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded: dict[str, Recorded]) -> None:
     done = recorded["simulated"]
     # On a busy machine it tells of what it makes once and keeps.
     once = ("compiling the twin's loops", "building the twin's plates")

@@ -62,7 +62,7 @@ def test_an_acknowledgement_of_an_ended_test_is_done_at_once(page):
     expect(alarm(page, 1).get_by_role("button", name="Acknowledge")).to_have_count(0)
 
 
-def test_a_note_is_made_by_keys_drawn_and_withdrawn(page):
+def test_a_note_is_added_by_keyboard_drawn_and_withdrawn(page):
     page.locator("#tof .plot").focus()
     page.keyboard.press("Home")
     page.keyboard.press("ArrowRight")
@@ -81,7 +81,7 @@ def test_a_note_is_made_by_keys_drawn_and_withdrawn(page):
     until(lambda: notes_drawn(page) == [], "the charts show it no more")
 
 
-def test_the_hours_shown_are_noted_by_mouse_with_what_a_person_typed(page):
+def test_the_visible_range_is_annotated_by_mouse_with_a_typed_note(page):
     page.goto(f"{page.url.split('?')[0]}?from_h=5&to_h=10")
     page.get_by_role("button", name="Add a note").click()
     page.get_by_role("button", name="The hours shown").click()
@@ -126,7 +126,7 @@ def test_the_actions_are_shown_with_the_alarm(page):
     expect(alarm(page, 4)).to_contain_text("Decides: who looks after the computer")
 
 
-def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, open_page):
+def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, open_page):
     page = drawn_page(open_page, service.url, forgiven="404")  # no record of the sets is stored
     box = alarm(page, 1)
     box.get_by_text("Proof", exact=True).click()
@@ -170,7 +170,7 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     [(5, "thickness?position=A", 1e3, 6.3, 5), (6, "sets?position=D", 1, 7, 2)],
     ids=["thickness", "no_data"],
 )
-def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, limit, sets):
+def test_the_figure_shows_the_quantity_that_the_kind_assesses(page, number, column, factor, limit, sets):
     alarm(page, number).get_by_text("Proof", exact=True).click()
     drawn = f"document.getElementById('proof-chart-{number}').snapshot()"
     expect(alarm(page, number).locator(".proof-sets a")).to_have_count(sets)
@@ -184,7 +184,7 @@ def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, li
     assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
 
 
-def test_the_picture_of_a_kind_without_a_limit_of_its_own_counts_nothing(page):
+def test_the_figure_of_a_kind_without_its_own_limit_counts_nothing(page):
     alarm(page, 7).get_by_text("Proof", exact=True).click()
     until(lambda: page.evaluate("document.getElementById('proof-chart-7')?.snapshot().drawn"), "it is drawn")
     box = alarm(page, 7).locator(".proof-box")

@@ -169,7 +169,7 @@ def see_the_live_record(filled, page):
     expect(readouts).to_contain_text(f"{psw_us:.1f} µs")
 
 
-def test_what_is_new_appears_without_a_reload(filled, service, open_page):
+def test_new_sets_appear_without_a_reload(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     page.evaluate("window.sameDocument = true")
@@ -210,7 +210,7 @@ def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
     filled.close()
 
 
-def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service, open_page):
+def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     alarms = page.locator("#alarms")
@@ -250,7 +250,7 @@ def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
 
 
-def test_finish_now_becomes_an_order_or_expires_on_the_page(filled, service, open_page, monkeypatch):
+def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, open_page, monkeypatch):
     page = open_page(service.url)
     notice = page.locator("#notice")
 
@@ -279,9 +279,7 @@ def answer(filled, kind, arguments, state="done", result=""):
     filled.catalogue.finish_command(command.id, state, result)
 
 
-def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_until_the_release(
-    ordering, ordered, open_page
-):
+def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(ordering, ordered, open_page):
     (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#held")
     expect(banner).to_be_hidden()
@@ -326,7 +324,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.locator("#hold")).to_have_text("Hold")
 
 
-def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering, ordered, open_page):
+def test_a_person_is_prompted_with_the_remaining_time(ordering, ordered, open_page):
     (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#asked")
     expect(banner).to_be_hidden()
@@ -343,7 +341,7 @@ def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering,
     expect(banner).to_be_hidden()
 
 
-def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(ordering):
+def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     filled, page = ordering
     expect(page.locator("#retired")).to_be_hidden()
     filled.retire("C", N_SETS)
@@ -487,7 +485,7 @@ WRITTEN = """() => {
 }"""
 
 
-def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service, open_page):
+def test_labels_on_a_chart_start_at_their_hour_and_do_not_overlap(filled, service, open_page):
     for hour, text in ((10.0, "couplant renewed"), (10.5, "door open"), (11.0, "bath refilled")):
         filled.annotate(hour, text)
     page = open_page(service.url)
@@ -519,7 +517,7 @@ def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service
         assert a["right"] < b["left"] or abs(a["y"] - b["y"]) > 10.0
 
 
-def test_a_wall_that_is_named_stands_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
+def test_a_diagnosed_wall_is_shown_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
     assessment = filled.assessment("C", N_SETS - 1, 30.0)
     named = {"chart": 4.0 * LIMIT_CHART, "chart_alarm": True, "cause": "wall", "cause_probability": 0.972}
     filled.add_alarm("C", N_SETS - 1)

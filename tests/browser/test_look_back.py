@@ -114,7 +114,7 @@ class TestSets:
         ):
             expect(panel).to_contain_text(text)
 
-    def test_alarms_and_rows_open_sets_too_and_keys_go_on_and_back(self, filled, service, page):
+    def test_alarms_and_rows_open_sets_and_keys_step_between_sets(self, filled, service, page):
         show(page)
         wait_for(page)
         page.get_by_role("link", name=f"Open set {LAST - 1} of position C").click()
@@ -268,7 +268,7 @@ def test_an_open_set_fits_every_width(filled, service, open_page):
         until(lambda width=width: page.evaluate("document.documentElement.scrollWidth") <= width, "it fits")
 
 
-def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
+def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
     context = browser.new_context(viewport=DESK)
     # As a test of many sets, without recording them.
     context.route(
@@ -357,7 +357,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
 
 
-def test_retirements_and_holds_are_marks(filled, service, open_page):
+def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
     page = open_page(service.url)
     wait_for(page)
     index = len(dashboard(page, "charts.tof.x"))

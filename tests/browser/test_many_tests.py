@@ -89,9 +89,7 @@ def test_the_list_has_no_violation_of_accessibility_and_fits_a_phone(service, op
 
 
 @pytest.mark.slow
-def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_set(
-    tests, service, open_page
-):
+def test_a_twin_series_is_drawn_on_the_axis_of_the_test_and_opens_its_set(tests, service, open_page):
     page = open_page(f"{service.url}tests/plate-7/?position=B")
     drawn(page)
     choice = page.locator("#others select")
@@ -133,7 +131,7 @@ def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_
     expect(page.locator("#others li")).to_have_count(0)
 
 
-def test_another_test_that_cannot_be_shown_says_so_where_it_was_chosen(service, open_page):
+def test_another_test_that_cannot_be_shown_is_reported_in_the_list(service, open_page):
     page = open_page(f"{service.url}tests/plate-7/?position=B&compare=unplugged:B,nobody:B,C")
     drawn(page)
     rows = page.locator("#others li")

@@ -100,7 +100,7 @@ def answered(filled, author="ann"):
         ),
     ],
 )
-def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
+def test_a_command_states_its_consequence_and_needs_a_second_step(
     filled, shared, button, consequences, confirm, order
 ):
     page = shared
@@ -188,7 +188,7 @@ def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, servi
     expect(card.get_by_role("button", name="Sign it")).to_have_count(0)
 
 
-def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, shared):
+def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(filled, shared):
     page = shared
     page.get_by_role("button", name="Supply on, or its limits").click()
     dialog = page.get_by_role("dialog")
@@ -207,7 +207,7 @@ def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(
     assert answered(filled) == ("supply_on", {"voltage_v": 5.5, "current_limit_a": 0.25, "note": ""})
 
 
-def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
+def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
     page = open_page(service.url, name=None)
     hold, dialog = page.get_by_role("button", name="Hold", exact=True), page.get_by_role("dialog")
     for name in (None, "Ben B"):
@@ -237,7 +237,7 @@ def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
     expect(page.get_by_role("button", name="Cleo (claimed)")).to_be_visible()
 
 
-def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page, tmp_path):
+def test_the_person_who_paused_the_test_is_found_with_three_clicks(service, open_page, tmp_path):
     audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
     yesterday = now.replace(hour=12) - timedelta(days=1)
     deeds = [

@@ -341,7 +341,7 @@ TASKS = (
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.question)
-def test_it_takes_three_clicks_at_most(page, api, filled, task):
+def test_each_task_takes_three_clicks_at_most(page, api, filled, task):
     page.evaluate(GO_TO, task.view)
     for step in task.steps:
         do(page, step)

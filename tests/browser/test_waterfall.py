@@ -259,7 +259,7 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
     assert "from_wf_us" not in query(page)
 
 
-def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
+def test_touch_gestures_pan_zoom_and_open(filled, service, open_page):
     address = f"{service.url}?theme=light&position=B&from_h=4&to_h=8"
     page = open_page(address, viewport=PHONE, has_touch=True)
     drawn(page)
@@ -322,7 +322,7 @@ def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, shared):
     assert not (pixels(page, "over")[..., 3] > 0).any()
 
 
-def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(shared):
+def test_a_probe_has_a_thickness_axis_and_a_table(shared):
     page = shared
     light(page, position="A", align="first")
     box = page.locator("#waterfall .plot")
@@ -336,7 +336,7 @@ def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(shared):
     expect(page.locator("#set")).to_have_attribute("data-set", f"A {N_SETS - 1}")
 
 
-def test_it_goes_on_while_sets_arrive(filled, shared):
+def test_the_view_continues_while_sets_arrive(filled, shared):
     page = shared
     light(page)
     rows = shown(page)["header"]["rows"]
@@ -346,7 +346,7 @@ def test_it_goes_on_while_sets_arrive(filled, shared):
     assert shown(page)["header"]["last_set"][-1] == n_sets
 
 
-def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
+def test_without_tiles_the_page_fills_itself(filled, open_page, monkeypatch):
     monkeypatch.setattr(picture, "SETS_AT_ONCE", 9)
     with served(filled.settings, filled.folder) as fresh:
         page = open_page(f"{fresh.url}?position=B")
@@ -385,7 +385,7 @@ def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page
 
 
 @pytest.mark.parametrize("viewport", [PHONE, pytest.param(WALL, marks=pytest.mark.slow)], ids=["390", "1920"])
-def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
+def test_the_page_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
     page = open_page(f"{service.url}?theme=dark&position=B", viewport=viewport)
     drawn(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]

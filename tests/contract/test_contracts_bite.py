@@ -257,7 +257,7 @@ def test_a_broken_clock_fails(broken, test):
         run(Ahead, test, clock=broken(EPOCH_NS))
 
 
-def test_an_object_is_no_clock():
+def test_an_arbitrary_object_is_not_accepted_as_a_clock():
     with pytest.raises(AssertionError):
         run(ClockContract, "test_is_a_clock", clock=object())
 
@@ -376,8 +376,8 @@ def test_a_sound_supply_passes(test):
         (CapsTheVoltageOnly, "test_beyond_the_caps_it_stays_off"),
         (RefusesTooLate, "test_beyond_the_caps_it_stays_off"),
         (RefusesWithoutTheValue, "test_beyond_the_caps_it_stays_off"),
-        (IsAnybody, "test_it_says_who_it_is"),
-        (ChangesItsName, "test_it_says_who_it_is"),
+        (IsAnybody, "test_the_instrument_reports_its_identity"),
+        (ChangesItsName, "test_the_instrument_reports_its_identity"),
         (object, "test_is_a_power_supply"),
     ],
 )

@@ -215,7 +215,7 @@ def test_transducers_sampled_alike_share_their_time_axis(file):
     assert text(file["entry/C_waveforms/time"].attrs["target"]) == "/entry/B_waveforms/time"
 
 
-def test_a_row_of_shots_belongs_to_every_record(file):
+def test_each_record_has_a_row_of_its_shot(file):
     table = file["entry/shots"]
     records = make_set().records
     assert table["shot_id"][()].tolist() == [item.sequence for item in records]
@@ -275,7 +275,7 @@ def test_the_environment_of_a_set_has_units(file):
     assert units == {"voltage_v": "V", "charge_coulomb": "C"}
 
 
-def test_facts_and_causes_stand_in_the_file(file):
+def test_facts_and_causes_are_in_the_file(file):
     entry = file["entry"]
     assert (entry["set_index"][()], entry["due_h"][()]) == (7, 4.0)
     assert text(entry["start_time"][()]) == "2024-01-01T04:00:00.000000123Z"

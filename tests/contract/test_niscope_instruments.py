@@ -101,7 +101,7 @@ def test_averaging_reduces_the_noise_by_the_root_of_the_records():
     assert mean == pytest.approx(EchoParameters().noise_rms_v / 4.0, rel=0.08)
 
 
-def test_a_record_says_what_it_was_taken_with(unit):
+def test_a_record_stores_its_acquisition_settings(unit):
     settings = unit.acquire(rig.key(), rig.TIMEOUT_S).settings
     assert settings["board_serial"] == "01C5A1F0"
     assert settings["product"] == "NI PXI-5122"
@@ -147,7 +147,7 @@ def test_a_session_is_set_up_once_and_then_only_triggered(unit, brain):
         ({"serial_number": "0BADCAFE"}, "'PXI1Slot5' is a NI PXI-5122 with serial number '01C5A1F0', not"),
     ],
 )
-def test_what_the_board_cannot_do_is_refused_at_the_start(brain, changes, message):
+def test_an_unsupported_setting_is_refused_at_the_start(brain, changes, message):
     with pytest.raises(ConfigurationError, match=message), open_niscope(rig.parameters(**changes)):
         pytest.fail("it opened")
 
@@ -160,14 +160,14 @@ def test_what_the_board_cannot_do_is_refused_at_the_start(brain, changes, messag
         ({"record_samples": 5_000_000}, "NI-SCOPE error -1074118653"),
     ],
 )
-def test_what_it_cannot_record_is_refused_at_the_start(brain, changes, message):
+def test_an_unsupported_record_is_refused_at_the_start(brain, changes, message):
     asked = dataclasses.replace(rig.parameters(), **changes)
     with pytest.raises(ConfigurationError, match=message), open_niscope(asked):
         pytest.fail("it opened")
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, -1.0])
-def test_a_deadline_that_is_none_is_refused(unit, timeout_s):
+def test_an_invalid_deadline_is_refused(unit, timeout_s):
     with pytest.raises(ConfigurationError, match="must be positive"):
         unit.acquire(rig.key(), timeout_s)
 
@@ -215,7 +215,7 @@ def test_a_trigger_that_was_not_taken_over_is_noticed_before_a_record(brain):
         pytest.fail("it opened")
 
 
-def test_somebody_else_s_board_is_named_and_left_alone(brain):
+def test_a_board_of_another_process_is_named_and_not_touched(brain):
     brain.occupy(rig.RESOURCE, "InstrumentStudio of pc-7")
     with (
         pytest.raises(BusyError, match="being used by another application or process"),

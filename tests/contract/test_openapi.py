@@ -214,7 +214,7 @@ def test_every_example_is_an_answer_of_its_operation():
     assert len(held) > 25
 
 
-def test_every_part_of_a_proof_is_described():
+def test_every_part_of_the_evidence_is_described():
     """Where a condition is built with a table of its own; `AlarmProof` has a field for each of its keys."""
     keys = set()
     for path in (ROOT / "daq_service").rglob("*.py"):

@@ -103,7 +103,7 @@ def test_an_operation_is_allowed_for_its_role_and_higher_roles_only(clients, ope
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
+def test_a_command_is_accepted_from_its_role_and_higher_roles(clients, kind):
     order = {"kind": kind, "author": "somebody else", "arguments": ARGUMENTS.get(kind, {})}
     answers = {name: status(client, "post", "/api/v1/commands", order) for name, client in clients.items()}
     assert answers["nobody"] == 401
@@ -113,7 +113,7 @@ def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
     assert {answers[role] for role in ROLES[rank:]} <= {202, 404, 409}
 
 
-def test_the_document_says_which_role_each_operation_needs():
+def test_the_document_states_the_role_of_each_operation():
     for operation, (method, path) in CALLS.items():
         described = DOCUMENT["paths"][path][method]
         needed = OPERATIONS[operation]

@@ -165,7 +165,7 @@ def watched(demos: Callable[[], Demo]) -> Demo:
     return demos()
 
 
-def test_demo_prints_one_object_with_everything_promised(two_hours: tuple[Path, dict[str, Any]]) -> None:
+def test_demo_prints_one_object_with_all_documented_keys(two_hours: tuple[Path, dict[str, Any]]) -> None:
     _, result = two_hours
     assert (result["sets"], result["shots"], result["missed_sets"]) == (4, 60, 0)
     assert 0.0 < result["elapsed_s"] < LIMIT_S
@@ -236,7 +236,7 @@ def test_a_second_recorder_on_the_same_folder_is_refused(watched: Demo) -> None:
     assert "--data-dir" in second.stderr
 
 
-def test_orders_come_from_another_terminal(watched: Demo) -> None:
+def test_commands_are_sent_from_another_terminal(watched: Demo) -> None:
     folder = watched.folder
 
     def order(*arguments: str) -> tuple[int, str]:
@@ -483,7 +483,7 @@ def test_simulate_gives_zeners_impact_or_a_table() -> None:
         (["--position", "Z"], "no position 'Z'"),
     ],
 )
-def test_simulate_refuses_what_cannot_be(arguments: list[str], words: str) -> None:
+def test_simulate_refuses_impossible_parameters(arguments: list[str], words: str) -> None:
     done = solimon_here("simulate", *arguments, env=QUICK)
     assert done.returncode == 2
     assert words in done.stderr

@@ -36,7 +36,7 @@ def order(folder: Path, kind: str, note: str = "", position: str | None = None) 
     )
 
 
-def test_a_running_test_is_held_and_released_and_a_transducer_retired(
+def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, stop = tmp_path / "data", threading.Event()

@@ -113,7 +113,7 @@ def configured(folder: Path, rig: Mapping[str, Any]) -> Path:
 
 @LIBRARY
 @TERMINALS
-def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice(tmp_path: Path) -> None:
+def test_checks_without_a_wire_pass_on_doubles_and_strike_each_transducer_thrice(tmp_path: Path) -> None:
     with running_brain(DESCRIPTION) as doubles, bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, doubles))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
@@ -150,7 +150,7 @@ def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path
 
 @LIBRARY
 @TERMINALS
-def test_nothing_is_energised_unless_somebody_names_the_load(tmp_path: Path) -> None:
+def test_nothing_is_energized_without_a_configured_load(tmp_path: Path) -> None:
     with bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})

@@ -180,7 +180,7 @@ def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 
-def test_a_recorder_makes_a_test_of_its_own_of_a_backup(folder: Path, tmp_path: Path) -> None:
+def test_a_recorder_turns_a_backup_into_a_separate_test(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     assert solimon_here("backup", str(copy), "--data-dir", str(folder), env={}).returncode == 0
     assert run(SETTINGS, copy), "it finds nothing to do, and owns the folder from now on"

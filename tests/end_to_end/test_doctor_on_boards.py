@@ -96,7 +96,7 @@ def doctor(
     return code, {check["name"]: check for check in report["checks"]}, report
 
 
-def test_a_sound_rig_is_looked_at_whole_and_nothing_is_energised(
+def test_a_sound_rig_is_checked_completely_and_nothing_is_energized(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data")
@@ -206,7 +206,7 @@ def test_another_broken_instrument_forbids_no_strike(
     assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"] * 2
 
 
-def test_a_laboratory_s_boards_that_are_not_there(
+def test_missing_boards_of_a_laboratory(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "lab.toml"

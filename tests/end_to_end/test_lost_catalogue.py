@@ -49,7 +49,7 @@ def started_folder(machine, tmp_path):
 
 
 @MACHINE_NAMES_ITS_BOOT
-def test_the_next_recorder_makes_it_again_and_goes_on_from_the_same_hour_0(machine, started_folder):
+def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_hour_0(machine, started_folder):
     before = table_rows(started_folder)
     lose_catalogue(started_folder)
     # The computer was off for a while: one set is missed.
@@ -92,7 +92,7 @@ def test_another_experiment_is_not_taken_into_the_same_baseline(machine, started
 
 
 @MACHINE_NAMES_ITS_BOOT
-def test_a_damaged_catalogue_stops_the_start_with_the_remedy_which_helps(machine, started_folder):
+def test_a_corrupt_catalogue_stops_the_start_with_a_working_remedy(machine, started_folder):
     before = table_rows(started_folder)
     with closing(sqlite3.connect(started_folder / FILE_NAME)) as database:
         database.execute("UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1")

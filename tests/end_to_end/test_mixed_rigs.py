@@ -140,7 +140,7 @@ def test_boards_digitize_what_another_instrument_strikes(
     assert len(coil_pulses_s(doubles.control.record())) == SHOTS
 
 
-def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Script, folder: Path) -> None:
+def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script: Script, folder: Path) -> None:
     heard: list[tuple[str, dict[str, Any]]] = []
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}, read_timeout_s=400.0)
     prepare_data_folder(folder)
@@ -211,7 +211,7 @@ def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Scr
     assert scope.experiment["rig"]["instruments"]["scope"]["range_v"] == 10.0
 
 
-def test_a_kind_that_does_not_give_what_it_offers_is_named(script: Script, folder: Path) -> None:
+def test_a_kind_without_an_offered_instrument_is_named(script: Script, folder: Path) -> None:
     settings = mixed({"liar": {"kind": "liar"}, "scope": SCOPE}, {"B": ("scope", "liar")})
     with pytest.raises(RigError, match=r"rig.instruments.liar: .* opened without a striker.*lab-drivers 1.2"):
         run(settings, folder)
@@ -243,7 +243,7 @@ def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder:
         assert (rig.supply, rig.climate is None) == (None, False)
 
 
-def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_instruments(
+def test_the_doctor_checks_each_kind_and_strikes_with_the_instruments_of_the_position(
     script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"B": ("scope", "hammer"), "C": ("scope", "other")}

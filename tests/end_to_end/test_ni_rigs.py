@@ -88,7 +88,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("rig", NI_RIGS)
-def test_a_set_through_nidaqmx_is_the_twins_and_says_how_it_was_taken(
+def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(
     rig: str, simulated: Path, tmp_path: Path
 ) -> None:
     with rig_here(rig) as running:

@@ -72,7 +72,7 @@ def looked_at(config: Path, folder: Path, capsys: pytest.CaptureFixture[str]) ->
     return code, {check["name"]: check for check in checks if check["area"] == "rig"}
 
 
-def test_doctor_lets_a_rehearsal_pass_and_calls_nothing_real_or_calibrated(
+def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = configuration(tmp_path, doubles, dry_run=True)
@@ -86,7 +86,7 @@ def test_doctor_lets_a_rehearsal_pass_and_calls_nothing_real_or_calibrated(
         assert "made up" in unknown[f"transducer {position}: noise"]
 
 
-def test_doctor_fails_where_strikes_are_wanted(
+def test_doctor_fails_for_a_configuration_with_strikes(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks = looked_at(configuration(tmp_path, doubles), tmp_path / "data", capsys)

@@ -120,7 +120,7 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpac
     assert last["versions"]["twin"] == "1"
 
 
-def test_going_on_gives_the_rows_of_a_run_in_one_go(unpack: Unpack, tmp_path: Path) -> None:
+def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack: Unpack, tmp_path: Path) -> None:
     folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
     assert run(settings_of("9c4a9b9"), folder)
     assert run(settings_of("9c4a9b9"), whole)

@@ -107,7 +107,7 @@ def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
         yield terminal
 
 
-def test_record_shows_how_far_it_is_and_leaves_it_standing(recorded: PseudoTerminal, folder: Path) -> None:
+def test_record_prints_its_progress_and_keeps_the_last_line(recorded: PseudoTerminal, folder: Path) -> None:
     check("record", recorded, folder)
     # Which of its first steps are seen is a matter of time.
     assert re.search("opening the rig|building the twin|waiting for set 0", recorded.written)
@@ -135,7 +135,7 @@ def test_status_in_a_pipe_has_the_same_words_and_no_colour(ran: PseudoTerminal, 
     assert masked(done.stdout, folder) == kept
 
 
-def test_serve_says_where_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
+def test_serve_prints_its_address_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
     del ran
     with on_terminal(arguments("serve", "--port", "0", folder=folder), QUICK) as terminal:
         terminal.until("http://")
@@ -162,7 +162,7 @@ def test_a_watched_status_shows_changes_and_keeps_the_last_output(
     check("watch", terminal, watched)
 
 
-def test_demo_says_first_words_its_folder_how_far_it_is_and_its_summary(tmp_path: Path) -> None:
+def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     command = arguments("demo", "--exit", "--no-web", "--hours", "0.5", folder=folder)
     with on_terminal(command, QUICK) as terminal:
@@ -197,7 +197,7 @@ def test_the_compilation_in_a_twin_process_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["", "--no-browser"])
-def test_demo_opens_its_page_where_somebody_sits_at_a_screen(tmp_path: Path, option: str) -> None:
+def test_demo_opens_its_page_on_a_computer_with_a_screen(tmp_path: Path, option: str) -> None:
     opened, browser = tmp_path / "opened", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\necho "$1" >> "{opened}"\n', encoding="utf-8")
     browser.chmod(0o755)

@@ -344,7 +344,7 @@ def silent_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_silent_transducer_raises_no_data_and_then_retires(silent_one: Path) -> None:
+def test_a_silent_transducer_raises_no_data_and_is_then_disabled(silent_one: Path) -> None:
     states = [row.state for row in sets_of(silent_one, "B")]
     assert states == ["done"] + ["missed"] * 4 + ["retired"] * 3
     assert {row.state for row in sets_of(silent_one, "D")} == {"done"}
@@ -419,7 +419,7 @@ def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Pa
 
 
 @pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
+def test_a_dismissed_hole_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
     """The chain had lost contact: put right after set 6, and silent again at once."""
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     settings = only("BD", small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}))
@@ -437,7 +437,7 @@ def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restar
 
 
 @pytest.mark.slow
-def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None:
+def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     orders: list[Order] = [
         (0.9, "retire", {"position": "C", "note": "sensor taken off"}),
         (0.9, "retire", {"position": "C"}),
@@ -463,7 +463,7 @@ def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None
 IN_SET_1 = 1.0 + 16 / 3600  # between C's first strike (12 s after the hour) and its second
 
 
-def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: Path) -> None:
+def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "C", "note": "coil is hot"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
@@ -479,14 +479,14 @@ def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: P
     assert shots_of(tmp_path, "D", 1)[0].utc_ns - rows[1].due_utc_ns == 5 * STEP_NS
 
 
-def test_a_transducer_retired_after_its_shots_keeps_them(tmp_path: Path) -> None:
+def test_a_transducer_disabled_after_its_shots_keeps_them(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
     assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
-def test_a_transducer_reinstated_during_a_set_begins_with_the_next_one(tmp_path: Path) -> None:
+def test_a_transducer_enabled_during_a_set_starts_with_the_next_one(tmp_path: Path) -> None:
     orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
@@ -501,7 +501,7 @@ def struck(folder: Path) -> list[ShotKey]:
 
 
 @pytest.mark.slow
-def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
+def test_a_pause_during_a_set_stops_the_strikes(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "hold", {"note": "door open"}), (1.9, "release", {})]
     settings = small_settings(schedule={"end_h": 2.5})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
@@ -519,7 +519,7 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
     assert [state for _, state, _ in answers(tmp_path)] == ["done", "done"]
 
 
-def test_a_hold_outlives_a_restart_and_ends_by_a_release(
+def test_a_pause_survives_a_restart_and_ends_by_resuming(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = only("B", small_settings(schedule={"end_h": 3.0}))
@@ -548,7 +548,7 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
     assert describe_status(tmp_path, Settings())["held"] is None
 
 
-def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> None:
+def test_sets_cut_short_by_pauses_are_not_counted_against_a_transducer(tmp_path: Path) -> None:
     """B has one shot in each of four sets: too few, but nobody let it strike."""
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
@@ -578,7 +578,7 @@ def lost_during(sets: range, position: str, times: int, error: type[Exception]) 
 FOUR_SHOTS = {"end_h": 2.5, "shots_per_set": 4}
 
 
-def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(tmp_path: Path) -> None:
+def test_three_consecutive_lost_connections_end_a_set_and_the_next_is_taken(tmp_path: Path) -> None:
     disturb, tried = lost_during(range(1, 3), "C", 3, ConnectionLostError)
     assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     keys = [(key.position, key.shot_index, key.attempt) for key in tried if key.set_index == 1]
@@ -669,7 +669,7 @@ def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) ->
     assert (None, "rig_unavailable") not in alarms_of(tmp_path)
 
 
-def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(tmp_path: Path) -> None:
+def test_a_rig_that_cannot_meet_a_request_reports_that_the_recorder_stopped(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1), "C", 1, ConfigurationError)
     with pytest.raises(RigError, match="set 0 ended early"):
         run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
@@ -681,7 +681,7 @@ def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(t
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
+def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
     rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)

@@ -103,7 +103,7 @@ def test_strikes_come_at_the_due_time_and_four_seconds_apart(finished: Path) -> 
         assert times[name] == [due_ns + (3 * number + k) * step_ns for k in range(3)]
 
 
-def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
+def test_the_catalogue_matches_the_files(finished: Path) -> None:
     """Features computed again from the file alone are those of the catalogue, to the last bit."""
     stored = {row.sequence: row for row in rows_of(finished)["shot_features"]}
     record = read_set(set_files(finished)[7])
@@ -116,7 +116,7 @@ def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
         }
 
 
-def test_a_file_holds_what_the_catalogue_says_of_its_set(finished: Path) -> None:
+def test_a_file_matches_the_catalogue_rows_of_its_set(finished: Path) -> None:
     rows = rows_of(finished)
     with h5py.File(set_files(finished)[7]) as file:
         entry = file["entry"]
@@ -168,7 +168,7 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in assessed)
 
 
-def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
+def test_assessment_without_recorder_and_storage_gives_the_same_result(finished: Path) -> None:
     rows, assessed = rows_of(finished), list(assessed_sets(small_settings(), "B"))
     of_sets = [found.position_result.features[-1] for found in assessed]
     stored = [row for row in rows["set_features"] if row.position == "B"]
@@ -206,7 +206,7 @@ def test_another_seed_gives_other_numbers(pair: dict[str, Any], tmp_path: Path) 
     assert all(a.tof_pp_s != b.tof_pp_s for a, b in zip(ours, other, strict=False))
 
 
-def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) -> None:
+def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path: Path) -> None:
     settings = pair_settings(twin={"nuisance": "plant"}, schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
@@ -416,7 +416,7 @@ def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: 
     assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
 
 
-def test_a_hole_retires_its_transducer_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_hole_disables_its_transducer_and_the_others_continue(tmp_path: Path) -> None:
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 5.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
@@ -523,7 +523,7 @@ def _answer(folder: Path, command_id: int) -> tuple[str, str]:
     return row.state, row.result
 
 
-def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
+def test_commands_are_executed_or_rejected_with_the_reason(tmp_path: Path) -> None:
     thinning = {"B": {"onset_h": 0.0, "reference_h": 1.0, "depth_fraction": 0.5, "hole_h": 1.0}}
     settings = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 3.0})
     assert run(settings, tmp_path)
@@ -557,7 +557,7 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     )
 
 
-def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:
+def test_a_short_baseline_gives_no_limit_and_its_reason(tmp_path: Path) -> None:
     assert run(pair_settings(baseline={"hours": 3.0}, schedule={"end_h": 3.5}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
         baseline = catalogue.baseline("B")

@@ -141,7 +141,7 @@ def test_every_slip_is_listed_with_a_finding(whole):
         assert slip["finding"].split(";")[0].replace("'", "&#x27;").replace("<", "&lt;") in report
 
 
-def test_every_value_of_the_paper_has_a_row_and_a_short_test_says_what_it_lacks(whole):
+def test_every_value_of_the_paper_has_a_row_and_a_short_test_lists_missing_ones(whole):
     _, result = whole
     rows = {(row["item"], row["quantity"]): row for row in result["comparison"]}
     assert list(rows) == [
@@ -219,7 +219,7 @@ def test_waveforms_are_the_means_of_the_stored_records(whole, small: Path):
     assert float(table["time_s"][0]) == pytest.approx(start_s, abs=1e-9)
 
 
-def test_the_models_say_what_the_paper_s_figures_ask(whole):
+def test_the_models_match_the_figures_of_the_paper(whole):
     _, result = whole
     assert ours(result, "fig5", "elements") == printed("fig5", "elements")
     assert ours(result, "fig5", "contact_element") == pytest.approx(0.1, rel=1e-9)
@@ -272,7 +272,9 @@ def test_the_tally_counts_every_value_once(whole):
         ("fig15", "core", "shipped", "no independent agreement"),
     ],
 )
-def test_a_cause_is_that_of_whose_measurements_they_are(item: str, quantity: str, origin: str, words: str):
+def test_a_deviation_is_attributed_to_the_origin_of_its_measurements(
+    item: str, quantity: str, origin: str, words: str
+):
     assert words in cause_of(of_paper(item, quantity), origin=origin)
 
 
@@ -300,7 +302,7 @@ def test_every_deviation_has_a_cause(whole):
     assert silent == []
 
 
-def test_only_makes_what_it_names_without_a_test_and_the_same_bytes_again(
+def test_option_only_makes_the_named_files_without_a_test_and_reproducibly(
     whole, executor: Executor, tmp_path: Path
 ):
     result, finished = made(tmp_path / "out", chosen_items("table2,fig10"), executor)
@@ -347,7 +349,7 @@ def test_other_positions_and_no_probe(executor: Executor, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
+def test_a_corrupt_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
     data = tmp_path / "data"
     shutil.copytree(small, data)
     set_files(data)[0].write_bytes(b"not HDF5")
@@ -495,7 +497,7 @@ def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(
         ({"data_dir": Path("nowhere"), "only": "fig8"}, StorageError, "holds no test"),
     ],
 )
-def test_the_command_refuses_what_cannot_be(
+def test_the_command_refuses_impossible_parameters(
     options: dict[str, Any], kind: type[Exception], words: str, tmp_path: Path
 ):
     given = {"data_dir": None, "only": None, "seed": None, "as_json": False, **options}

@@ -125,7 +125,9 @@ def test_boards_of_another_computer_are_set_up_alike(running: RunningDoubles, tm
     assert (boards.transport, boards.grpc_address) == ("grpc", running.grpc)
 
 
-def test_without_leave_nothing_strikes_and_the_file_says_so(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_without_permission_nothing_strikes_and_the_file_states_it(
+    doubles: RunningDoubles, tmp_path: Path
+) -> None:
     file = tmp_path / "lab.toml"
     answer = report(setup(file, *WIRED, "--json"))
     assert (answer["struck"], answer["proposal"]) == ([], None)
@@ -140,7 +142,7 @@ def test_without_leave_nothing_strikes_and_the_file_says_so(doubles: RunningDoub
     assert (boards.trigger_level_v, boards.holdoff_s) == (0.25, 0.0106)
 
 
-def test_answers_at_a_terminal_are_asked_for_until_they_are_understood(
+def test_prompts_repeat_until_the_answer_is_valid(
     doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = ["", "0", str(PULSE_S), "B", "", "ai9", "", "", "", "strike", "", "", "yes", "", "", ""]
@@ -184,7 +186,7 @@ def test_answers_that_end_write_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recorder_s_folder_is_not_struck(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles: RunningDoubles, tmp_path: Path) -> None:
     usual, other = tmp_path / "solimon-data", tmp_path / "other"
     for folder, options in ((usual, ()), (other, ("--data-dir", str(other)))):
         prepare_data_folder(folder)
@@ -196,9 +198,7 @@ def test_a_recorder_s_folder_is_not_struck(doubles: RunningDoubles, tmp_path: Pa
     assert not (tmp_path / "lab.toml").exists()
 
 
-def test_a_recorder_that_started_meanwhile_is_not_struck_under(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles: RunningDoubles, tmp_path: Path) -> None:
     bench = look_around(Dialogue(), tmp_path, "library", "")
     try:
         bench.wire("B", wiring_of(bench.boards, "01E16086/ai0/ctr0"))
@@ -245,7 +245,7 @@ def test_a_board_reserved_by_another_process_is_reported(doubles: RunningDoubles
     assert "LabVIEW" in done.stderr
 
 
-def test_without_a_board_that_triggers_it_says_what_was_looked_for(tmp_path: Path, monkeypatch) -> None:
+def test_a_missing_trigger_board_is_reported_with_the_search(tmp_path: Path, monkeypatch) -> None:
     with running_brain(replace(QUICK, boards=(SLOW,), transducers={})) as slow:
         meet(slow, monkeypatch)
         done = setup(tmp_path / "lab.toml", *WIRED)

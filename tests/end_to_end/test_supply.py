@@ -156,7 +156,7 @@ def test_a_restart_goes_on_counting_and_switches_nothing(
     assert after.unknown_s > before.unknown_s
 
 
-def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
+def test_a_hole_trips_the_interlock_and_only_a_person_resets_it(
     instruments: SerialInstruments, tmp_path: Path
 ) -> None:
     folder = tmp_path / "data"
@@ -227,7 +227,7 @@ def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, t
     assert environment(folder)[-1].climate_quality == "lost"
 
 
-def test_orders_beyond_the_caps_are_refused(instruments: SerialInstruments, tmp_path: Path) -> None:
+def test_commands_above_the_caps_are_rejected(instruments: SerialInstruments, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     assert run(settings_with(instruments, 3), folder, orders={1: ("supply_on", {"voltage_v": 50.0})})
     assert switchings(instruments) == []

@@ -283,7 +283,9 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
 @pytest.mark.parametrize(
     "error", [pytest.param(RigError, marks=pytest.mark.slow), StorageError], ids=["exit 3", "exit 4"]
 )
-def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, error: type[Exception]) -> None:
+def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(
+    test: Test, error: type[Exception]
+) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if test.answers() == ["done"] and test.instruments.supply.on:
             raise error("it ends")
@@ -305,7 +307,7 @@ def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, erro
     test.is_switched_off_unwatched()
 
 
-def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energises_nothing(test: Test) -> None:
+def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test: Test) -> None:
     settings = test.settings(off_at_end=False)
     with test.recording(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
@@ -326,7 +328,7 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
 
 
 @pytest.mark.parametrize("state", [pytest.param("on", marks=pytest.mark.slow), "unreadable"])
-def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_switches_off(
+def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_off(
     test: Test, state: str
 ) -> None:
     test.run_switched_on(test.settings(off_at_end=False))
@@ -412,7 +414,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("offered")
-def test_the_drive_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
+def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
     settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
     with started(test, "record", settings) as process:
         until(test.has_charge, "a set with its charge")
@@ -549,7 +551,7 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
         assert "consecutive readings" in alarm(test, "interlock_tripped")
 
 
-def test_a_drive_that_stalls_at_the_end_is_replaced_by_one_that_switches_off(test: Test) -> None:
+def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(test: Test) -> None:
     with energised(test):
         stopped = test.drive()
         os.kill(stopped, signal.SIGSTOP)
@@ -558,7 +560,7 @@ def test_a_drive_that_stalls_at_the_end_is_replaced_by_one_that_switches_off(tes
 
 
 @pytest.mark.slow
-def test_a_drive_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
     line = line_of(test.instruments, reply_timeout_s=0.1)
     with energised(test, line=line, read_timeout_s=1.0):
         stopped = test.drive()
@@ -581,7 +583,7 @@ def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: 
         assert not supply.on
 
 
-def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:
+def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2

@@ -169,14 +169,14 @@ def test_a_sweep_file_and_the_printed_table(tmp_path: Path) -> None:
         (["--model", "zener", "--sweep", "chain.mass_kg=0.02", "--waveforms"], "leave it out"),
     ],
 )
-def test_what_cannot_be_is_a_usage_error(arguments: list[str], words: str) -> None:
+def test_an_impossible_option_is_a_usage_error(arguments: list[str], words: str) -> None:
     done = simulate(*arguments)
     assert isinstance(done.exception, UsageError)
     assert re.search(words, str(done.exception))
     assert done.stdout == ""
 
 
-def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
+def test_an_unwritable_file_is_a_storage_error(tmp_path: Path) -> None:
     # No file system takes such a name, whoever asks.
     done = simulate("--sweep", "chain.mass_kg=0.0282", "--out", str(tmp_path / f"{'t' * 300}.csv"))
     assert isinstance(done.exception, StorageError)

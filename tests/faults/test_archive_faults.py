@@ -113,7 +113,7 @@ def test_the_calls_are_those_the_tests_interpose(monkeypatch, make_file):
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EROFS], ids=errno.errorcode.get)
 @pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
-def test_a_refused_call_leaves_nothing_and_says_why(monkeypatch, tmp_path, make_file, call, code):
+def test_a_refused_call_leaves_nothing_and_returns_its_reason(monkeypatch, tmp_path, make_file, call, code):
     put(monkeypatch, Disk(fail_at=call, error=code))
     with pytest.raises(OSError, match=os.strerror(code)):
         make_file()
@@ -258,13 +258,13 @@ def test_opening_a_folder_that_cannot_be_synced_is_a_storage_error(monkeypatch, 
         FolderArchive(tmp_path)
 
 
-def test_a_parent_folder_of_others_need_not_be_readable(monkeypatch, tmp_path):
+def test_an_unreadable_parent_folder_is_accepted(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk(fail_at=3, error=errno.EACCES))
     FolderArchive(tmp_path)
     assert disk.calls == ["open", "fsync", "close", "open"]
 
 
-def test_windows_cannot_sync_a_folder_and_is_not_asked_to(monkeypatch, tmp_path):
+def test_folders_are_not_synced_on_windows(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk())
     monkeypatch.setattr(sys, "platform", "win32")
     shared_file.sync_folder(tmp_path)

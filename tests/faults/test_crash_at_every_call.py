@@ -85,7 +85,7 @@ def trace_of(fast, library):
     return get
 
 
-def test_the_calls_written_down_make_the_folder_again(trace_of):
+def test_the_traced_calls_reproduce_the_folder(trace_of):
     folder, calls = trace_of("wall")
     disk = Disk()
     for call in calls:
@@ -108,7 +108,7 @@ def test_the_calls_written_down_make_the_folder_again(trace_of):
         ("replaced and synced", lost_of_replaced, set()),
     ],
 )
-def test_designs_that_lose_shots_are_found_out(trace_of, tmp_path, design, lost_of, models_that_lose):
+def test_designs_that_lose_shots_are_detected(trace_of, tmp_path, design, lost_of, models_that_lose):
     _, calls = trace_of(design)
     losing = Counter()
     for number, (name, state, marks) in enumerate(states(calls)):

@@ -107,7 +107,7 @@ QUICK = ("header of the first frame", "counts of a shot", "header of the last fr
 @pytest.mark.parametrize(
     "place", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in PLACES]
 )
-def test_damage_in_an_open_set_is_reported_and_costs_the_damaged_shot_only(tmp_path, whole, place):
+def test_corruption_in_an_open_set_is_reported_and_costs_only_its_shot(tmp_path, whole, place):
     folder, settings = tmp_path / "test", short_settings()
     shot_ids = killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
@@ -140,7 +140,7 @@ def test_damage_in_an_open_set_is_reported_and_costs_the_damaged_shot_only(tmp_p
     assert [path.name for path in (folder / "quarantine").iterdir()] == [copy.name]
 
 
-def test_a_set_whose_time_is_over_names_the_damage_as_its_cause(tmp_path, monkeypatch):
+def test_an_expired_set_names_the_corruption_as_its_cause(tmp_path, monkeypatch):
     folder, settings = tmp_path / "test", short_settings()
     killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
@@ -176,7 +176,7 @@ def test_a_segment_whose_name_is_damaged_is_found_by_its_frames(tmp_path):
 
 
 @pytest.mark.parametrize("kind", [pytest.param(Kind.BEGIN, marks=pytest.mark.slow), Kind.SHOT, Kind.END])
-def test_damage_in_a_set_with_rows_leaves_a_file_of_what_is_sound(tmp_path, kind):
+def test_corruption_in_a_set_with_rows_leaves_a_file_of_the_sound_records(tmp_path, kind):
     folder, settings = tmp_path / "test", short_settings()
     killed(folder, settings, KILLED_AFTER, worker=NoWorker)
     segment = newest_segment(folder)

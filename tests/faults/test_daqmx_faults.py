@@ -143,7 +143,7 @@ def test_each_turn_commits_once_and_ends_the_one_before(doubles, parameters):
 
 
 @by_both
-def test_a_record_says_what_it_was_taken_with(doubles, parameters, transport):
+def test_a_record_stores_its_acquisition_settings(doubles, parameters, transport):
     with open_daqmx(parameters) as rig:
         settings = take(rig, doubles, key()).settings
         identity = rig.identity
@@ -212,7 +212,7 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(parameters):
         open_daqmx(slow).__enter__()
 
 
-def test_a_coerced_rate_is_refused_with_what_was_given(parameters):
+def test_a_coerced_rate_is_refused_with_the_given_rate(parameters):
     # 100 MHz / 11: the next rate above that divides the time base.
     with pytest.raises(ConfigurationError, match=r"9000000 Hz; PXIe-6386 01E16086 would use 9090909\.09"):
         open_daqmx(replace(parameters, sample_rate_hz=9e6)).__enter__()
@@ -226,7 +226,7 @@ def test_a_range_the_board_does_not_have_is_refused_with_those_it_has(parameters
 @pytest.mark.parametrize(
     "changes", [{"input": "ai9"}, {"counter": "ctr7"}, {"terminal_configuration": "nrse"}]
 )
-def test_wiring_that_does_not_exist_is_refused(parameters, changes):
+def test_missing_wiring_is_refused(parameters, changes):
     with pytest.raises(ConfigurationError, match="DAQmx -200"):
         open_daqmx(with_wiring(parameters, **changes)).__enter__()
 
@@ -282,7 +282,7 @@ def test_a_pulse_too_short_to_lift_the_striker_is_a_missed_strike(doubles, param
 # Busy ---------------------------------------------------------------------------------------------
 
 
-def test_a_board_somebody_else_uses_is_busy_and_never_reset(doubles, parameters):
+def test_a_board_used_by_another_process_is_busy_and_never_reset(doubles, parameters):
     doubles.control.occupy(f"{SERIAL}/ai", "LabVIEW on BENCH-7")
     with pytest.raises(BusyError, match=r"-50103.*owner: .*LabVIEW on BENCH-7"):
         open_daqmx(parameters).__enter__()
@@ -543,9 +543,7 @@ METADATA = {
 
 
 @pytest.mark.parametrize("function", METADATA)
-def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
-    doubles, parameters, function, caplog
-):
+def test_a_board_without_calibration_information_is_used(doubles, parameters, function, caplog):
     """NI's simulated devices refuse the date with -200077."""
     doubles.control.inject(function, "error", code=-200077)
     with open_daqmx(parameters) as rig:
@@ -559,7 +557,7 @@ def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
 # Reference clock ------------------------------------------------------------------------------------
 
 
-def test_a_chassis_clock_is_asked_for_and_the_shot_is_the_same(doubles, parameters):
+def test_a_chassis_clock_is_requested_and_the_shot_is_the_same(doubles, parameters):
     locked = replace(parameters, reference_clock="PXI_Clk10")
     with open_daqmx(locked) as rig:
         acquired = take(rig, doubles, key())

@@ -177,7 +177,7 @@ def test_the_driver_refuses_a_holdoff_that_the_parameters_let_pass(doubles, para
         ("DAQmxGetTrigAttribute:StartTrig.Delay", r"would hold off for 0\.00707 s"),
     ],
 )
-def test_a_holdoff_that_is_not_what_was_asked_is_not_gone_on_with(doubles, parameters, call, error):
+def test_a_holdoff_that_differs_from_the_request_stops_the_shot(doubles, parameters, call, error):
     doubles.control.inject(call, "lie")
     with pytest.raises(InstrumentError, match=error):
         open_daqmx(only(parameters, "C", holdoff_s=HOLDOFF_S)).__enter__()
@@ -217,7 +217,7 @@ def test_a_rehearsal_records_no_strike(doubles, parameters):
 @by_library
 @pytest.mark.filterwarnings("ignore::nidaqmx.errors.DaqResourceWarning")
 @pytest.mark.parametrize("code", [-88710, pytest.param(-50103, marks=pytest.mark.slow)])
-def test_a_fault_at_any_call_of_it_leaves_the_coil_off_and_no_task(doubles, parameters, code):
+def test_a_fault_at_any_holdoff_call_leaves_the_coil_off_and_no_task(doubles, parameters, code):
     """Each distinct call of a fault-free record in turn; what the driver only tells may be missing.
 
     What is refused to be created or cleared is the fault matrix's.

@@ -79,7 +79,7 @@ def test_a_dry_run_is_surveyed_with_its_trigger(doubles, parameters):
     assert "CfgAnlgEdgeRefTrig" in functions_of(doubles.control.record())
 
 
-def test_a_temperature_that_is_unknown_is_compared_with_nothing(doubles, parameters):
+def test_an_unknown_temperature_is_not_compared(doubles, parameters):
     doubles.control.inject("DAQmxGetCalInfoAttribute:Cal.DevTemp", "error", code=-200077, times=0)
     found = survey(parameters)
     (finding,) = (one for one in found.findings if one.check == "calibrated")
@@ -106,7 +106,7 @@ def test_noise_near_the_trigger_level_is_a_warning(parameters):
         ({"counter": "ctr7"}, "coil's counter", "ctr7"),
     ],
 )  # fmt: skip
-def test_wrong_wiring_fails_where_it_is_wrong_and_the_rest_is_looked_at(parameters, changes, check, message):
+def test_wrong_wiring_fails_at_its_channel_and_the_rest_is_checked(parameters, changes, check, message):
     wrong = replace(parameters.transducers["C"], **changes)
     found = survey(replace(parameters, transducers={"C": wrong, "D": parameters.transducers["D"]}))
     failed = findings(found, "fail")

@@ -61,7 +61,7 @@ def asked(url: str) -> tuple[int, bytes]:
         for name, when in HELD.items()
     ],
 )
-def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tmp_path, when):
+def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tmp_path, when):
     data, log = tmp_path / "data", tmp_path / "refused"
     command = [
         sys.executable,

@@ -25,7 +25,7 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.commands.registry import KINDS
 
 
-def test_each_kind_that_only_stores_is_looked_at():
+def test_each_kind_that_only_stores_is_checked():
     assert {kind for kind, order in KINDS.items() if order.rows_only} == EVENT_OF.keys()
 
 
@@ -65,7 +65,9 @@ def calls(fast):
         pytest.param(("kill", "nothing", "torn"), 1, id="each call", marks=pytest.mark.slow),
     ],
 )
-def test_a_crash_behind_a_call_leaves_each_order_done_once_or_refused(calls, fast, models, every, capsys):
+def test_a_crash_after_a_call_leaves_each_command_executed_once_or_rejected(
+    calls, fast, models, every, capsys
+):
     count, became = 0, Counter()
     promised = (found for found in states(calls, models=models) if found[2])
     for name, state, answered in itertools.islice(promised, 0, None, every):
@@ -198,7 +200,7 @@ class Client(threading.Thread):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_processes_killed_while_orders_come_do_each_once_or_not_at_all(tmp_path, capsys):
+def test_processes_killed_while_commands_arrive_execute_each_at_most_once(tmp_path, capsys):
     moments, config, pause = random.Random(1), tmp_path / "test.json", threading.Event()
     schedule = {**SMALL["schedule"], "phases": [{"until_h": 2000.0, "interval_h": 0.5}]}
     settings = {**SMALL, "schedule": schedule, "clock": {"pace_h_per_s": 2.0}}

@@ -319,9 +319,7 @@ INVALID_VALUE = -1074135024
         ("niScope_CalFetchTemperature", "calibration_temperature_c", math.nan),
     ],
 )
-def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
-    brain, function, name, unknown, caplog
-):
+def test_a_board_without_calibration_information_is_used(brain, function, name, unknown, caplog):
     brain.faults.inject(function, "error", code=INVALID_VALUE)
     with open_niscope(rig.parameters()) as unit:
         echo = take(unit, brain)

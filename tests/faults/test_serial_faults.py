@@ -81,7 +81,7 @@ def test_a_supply_unplugged_while_it_is_asked_is_lost(energised):
     assert rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_what_comes_back_without_power_stays_off(energised):
+def test_a_supply_that_returns_without_power_stays_off(energised):
     rig = energised
     rig.instruments.brown_out()
     with pytest.raises(ConnectionLostError):
@@ -116,7 +116,7 @@ def test_attempts_back_off_on_the_callers_clock(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_an_order_does_not_wait_for_the_next_attempt(rig):
+def test_a_switch_off_command_does_not_wait_for_the_next_attempt(rig):
     rig.instruments.supply_link.unplug()
     with pytest.raises(ConnectionLostError):
         rig.supply.read(TIMEOUT_S)
@@ -127,7 +127,7 @@ def test_an_order_does_not_wait_for_the_next_attempt(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_an_order_to_switch_on_does_not_wait_either(rig):
+def test_a_command_to_switch_on_does_not_wait_either(rig):
     rig.instruments.supply_link.unplug()
     with pytest.raises(ConnectionLostError):
         rig.supply.read(TIMEOUT_S)
@@ -256,7 +256,7 @@ def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energis
     assert rig.supply.read(TIMEOUT_S).voltage_v == 10.0
 
 
-def test_a_flag_that_is_no_flag_is_refused(energised):
+def test_an_unknown_flag_is_refused(energised):
     rig = energised
     answer = rig.instruments.supply.answer
     rig.instruments.supply_link.answer = lambda command: "2" if command == "OUTP?" else answer(command)
@@ -264,7 +264,7 @@ def test_a_flag_that_is_no_flag_is_refused(energised):
         rig.supply.read(TIMEOUT_S)
 
 
-def test_an_instrument_that_never_stops_talking_is_given_up(energised):
+def test_an_instrument_that_sends_endlessly_is_given_up(energised):
     rig = energised
     rig.supply.close()
     answer = rig.instruments.supply.answer
@@ -276,7 +276,7 @@ def test_an_instrument_that_never_stops_talking_is_given_up(energised):
 # Who is there --------------------------------------------------------------------------------------
 
 
-def test_another_instrument_is_refused_and_sent_nothing_but_the_question(rig):
+def test_another_instrument_is_refused_and_receives_only_the_identity_query(rig):
     change_supply(rig, identity="OTHER,THING,7,2.0")
     for attempt in (rig.supply.identity, lambda: rig.supply.read(TIMEOUT_S)):
         with pytest.raises(ConfigurationError, match=r"'OTHER,THING,7,2.0'"):
@@ -327,7 +327,7 @@ def test_a_second_owner_gets_an_error_with_the_port_and_its_owner(rig):
 # Orders --------------------------------------------------------------------------------------------
 
 
-def test_beyond_the_caps_nothing_is_sent(rig):
+def test_values_above_the_caps_are_not_sent(rig):
     with pytest.raises(ConfigurationError, match="voltage_cap_v = 12"):
         rig.supply.energise(12.1, 1.0)
     with pytest.raises(ConfigurationError, match="current_cap_a = 2"):
@@ -335,7 +335,7 @@ def test_beyond_the_caps_nothing_is_sent(rig):
     assert rig.heard() == []
 
 
-def test_while_an_order_is_set_the_output_is_off(rig):
+def test_the_output_is_off_while_a_command_is_set(rig):
     rig.supply.energise(10.0, 1.0)
     rig.supply.energise(5.0, 0.5)
     assert rig.switched() == [(True, "command"), (False, "command"), (True, "command")]
@@ -356,7 +356,7 @@ def test_a_supply_that_refuses_what_is_set_stays_off(tmp_path):
         assert rig.instruments.supply_link.do(lambda: rig.instruments.supply.answer("SYST:ERR?"))[0:2] == "+0"
 
 
-def test_old_errors_are_not_the_orders_fault(rig):
+def test_earlier_errors_are_not_attributed_to_the_command(rig):
     link = rig.instruments.supply_link
     link.do(lambda: [rig.instruments.supply.answer("NONSENSE") for _ in range(5)])
     rig.supply.energise(10.0, 1.0)
@@ -374,7 +374,7 @@ def test_an_error_queue_without_an_end_is_refused(rig):
 
 
 @pytest.mark.parametrize("lost", range(1, 18))
-def test_an_order_that_loses_any_reply_leaves_the_output_off_or_says_it_does_not_know(rig, lost):
+def test_a_command_with_a_lost_reply_leaves_the_output_off_or_reports_unknown(rig, lost):
     """Silence from each reply on in turn: off, or an error that says unknown; never on and believed."""
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
@@ -397,7 +397,7 @@ def test_an_order_that_loses_any_reply_leaves_the_output_off_or_says_it_does_not
 
 
 @pytest.mark.parametrize("garbled", range(1, 14))
-def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
+def test_a_command_with_one_wrong_reply_leaves_the_output_off(rig, garbled):
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
 
@@ -427,7 +427,7 @@ def test_a_supply_that_gives_more_than_asked_is_switched_off(rig):
     assert not rig.instruments.supply.on
 
 
-def test_at_its_limit_it_is_no_fault(rig):
+def test_a_supply_in_current_limit_is_not_a_fault(rig):
     change_supply(rig, cell=Cell(resistance_ohm=4.0))
     rig.supply.energise(10.0, 1.0)
     reading = rig.supply.read(TIMEOUT_S)
@@ -449,7 +449,7 @@ def test_a_tripped_protection_is_reported_and_not_overruled(energised, protectio
     assert all(command.endswith("?") for command in rig.heard()[before:]), "it was only asked"
 
 
-def test_a_supply_that_trips_as_it_is_switched_on_says_so(rig):
+def test_a_supply_that_trips_when_switched_on_is_reported(rig):
     supply = rig.instruments.supply
     answer = supply.answer
 
@@ -486,7 +486,7 @@ def test_setup_commands_follow_every_check_of_the_name(tmp_path):
         ] * 2
 
 
-def test_a_supply_without_protections_is_not_asked_for_them(tmp_path):
+def test_a_supply_without_protections_is_not_queried_for_them(tmp_path):
     with SerialRig(tmp_path, protection_queries=()) as rig:
         rig.supply.energise(10.0, 1.0)
         rig.supply.make_safe()
@@ -547,7 +547,7 @@ def test_a_port_is_found_by_the_serial_number_of_its_adapter(rig, monkeypatch):
         supply_on("serial:FT222", rig).identity()
 
 
-def test_what_is_no_serial_port_is_refused(rig, tmp_path):
+def test_a_file_without_a_serial_port_is_refused(rig, tmp_path):
     plain = tmp_path / "notes.txt"
     plain.write_text("", encoding="utf-8")
     for path in ("/dev/null", str(plain), str(tmp_path)):
@@ -584,7 +584,7 @@ VENDOR_ERRORS = [
 
 @pytest.mark.parametrize("call", ["reset_input_buffer", "write", "read"])
 @pytest.mark.parametrize("raised", VENDOR_ERRORS, ids=lambda error: type(error).__name__)
-def test_no_error_of_a_port_gets_past_the_line(energised, call, raised, monkeypatch):
+def test_every_port_error_is_translated_by_the_line(energised, call, raised, monkeypatch):
     """Each call of pyserial fails in each way seen: the type depends on where an unplugging strikes."""
     rig = energised
 
@@ -634,7 +634,7 @@ def child():
             ended(process, "the doubles left")
 
 
-def test_the_doubles_run_on_their_own_and_take_orders(rig):
+def test_the_doubles_run_as_a_process_and_take_commands(rig):
     with child() as (process, ready, order):
         assert ready["event"] == "ready"
         supply = supply_on(ready["supply"], rig, reply_timeout_s=60.0)

@@ -65,7 +65,7 @@ def supervise(
     return code, messages
 
 
-def test_a_crash_is_mended_by_a_restart_that_knows_the_cause(tmp_path: Path) -> None:
+def test_a_restart_repairs_a_crash_and_records_its_cause(tmp_path: Path) -> None:
     script = """
 tell("started", cause=sys.argv[2])
 if starts(sys.argv[1]) == 1:

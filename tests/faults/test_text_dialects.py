@@ -58,7 +58,7 @@ def read_again(rig):
     raise AssertionError("the supply did not come back")
 
 
-def test_an_order_is_set_read_back_and_measured(energised):
+def test_a_command_is_set_read_back_and_measured(energised):
     rig = energised
     reading = rig.supply.read(READ_TIMEOUT_S)
     assert (reading.voltage_v, reading.output_on) == (10.0, True)
@@ -106,7 +106,7 @@ def test_an_unplugged_supply_is_lost_and_comes_back_as_it_was(energised):
 
 
 @pytest.mark.parametrize("garbled", [2, 6, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 16))])
-def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
+def test_a_command_with_one_wrong_reply_leaves_the_output_off(rig, garbled):
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
 
@@ -146,7 +146,7 @@ def test_a_right_unit_is_understood(energised, reply):
     assert rig.supply.read(READ_TIMEOUT_S).voltage_v == pytest.approx(10.0)  # the last bit of a prefix
 
 
-def test_another_instrument_is_sent_nothing_but_the_question(rig):
+def test_another_instrument_receives_only_the_identity_query(rig):
     rig.instruments.supply_link.do(lambda: setattr(rig.instruments.supply, "identity", "OTHER,THING,7,2.0"))
     with pytest.raises(ConfigurationError, match="OTHER,THING"):
         rig.supply.energise(10.0, 1.0)
@@ -154,7 +154,7 @@ def test_another_instrument_is_sent_nothing_but_the_question(rig):
     assert rig.switched() == []
 
 
-def test_it_says_who_it_is(rig):
+def test_the_instrument_reports_its_identity(rig):
     identity = rig.supply.identity()
     assert identity["model"] in {"DC SUPPLY DOUBLE", "PL303-P", "KA3005P", "DP832A"}
     assert identity["port"] == rig.supply_parameters.line.port
@@ -212,7 +212,7 @@ def test_a_supply_that_does_not_support_the_query_is_reported_as_unknown(tmp_pat
         assert rig.supply.tripped_protections == ()
 
 
-def test_a_lost_answer_is_no_unknown_question(tmp_path):
+def test_a_lost_answer_is_not_an_unknown_query(tmp_path):
     with SerialRig(tmp_path) as rig:
         answer = rig.instruments.supply.answer
         rig.instruments.supply_link.answer = lambda command: None if "TRIP" in command else answer(command)

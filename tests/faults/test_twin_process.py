@@ -88,7 +88,7 @@ def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     assert "not computed ahead any more" in caplog.text
 
 
-def test_a_worker_that_compiles_is_heard_and_one_that_dies_over_it_compiles_no_more():
+def test_a_compiling_worker_is_reported_and_a_dead_one_ends_its_compilation():
     heard = []
     hear, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     for word in (True, False, True):

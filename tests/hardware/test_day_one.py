@@ -36,7 +36,7 @@ RECORDS = 300
 # Nothing moves --------------------------------------------------------------------------------------
 
 
-def test_the_boards_take_the_wiring_as_configured(parameters: DaqmxParameters) -> None:
+def test_the_boards_use_the_configured_wiring(parameters: DaqmxParameters) -> None:
     failed = [finding for finding in survey(parameters).findings if finding.state == "fail"]
     assert failed == []
 

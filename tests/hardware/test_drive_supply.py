@@ -109,7 +109,7 @@ def test_the_supply_reports_its_identity_and_setpoints(supply: ScpiPowerSupply) 
     assert float(state["set_current_limit_a"]) > 0.0
 
 
-def test_an_order_beyond_the_caps_sets_nothing(
+def test_a_command_above_the_caps_sets_nothing(
     supply: ScpiPowerSupply, supply_parameters: SupplyParameters
 ) -> None:
     before = supply.read_back(READ_TIMEOUT_S)
@@ -167,7 +167,7 @@ def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load
     assert is_off(supply), "nothing but a person's order switches it on again"
 
 
-def test_what_fails_while_it_is_on_leaves_it_off(supply: ScpiPowerSupply, load: Load) -> None:
+def test_a_failure_while_the_output_is_on_switches_it_off(supply: ScpiPowerSupply, load: Load) -> None:
     class FellOverError(Exception):
         """Whatever goes wrong in whoever uses it."""
 

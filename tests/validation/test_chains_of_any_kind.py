@@ -98,7 +98,7 @@ def test_two_unlike_spheres_exchange_momentum_and_energy(ratio):
     assert not force.contact_force_n[1].any()  # nothing below
 
 
-def test_which_of_two_spheres_strikes_makes_no_difference():
+def test_the_impact_is_symmetric_in_its_two_spheres():
     """Both orders see the same relative motion."""
     small = {"radius_m": 5e-3, "density_kg_per_m3": 4500.0, "youngs_modulus_pa": 110e9, "poisson_ratio": 0.32}
     top, bottom = (

@@ -27,14 +27,14 @@ def benchmark(*arguments: str) -> list[dict[str, Any]]:
     return runs
 
 
-def test_a_thinning_wall_is_named_before_f_alarms_and_as_nothing_else() -> None:
+def test_a_thinning_wall_is_diagnosed_before_f_alarms_and_as_nothing_else() -> None:
     (run,) = benchmark("--only", "corrosion", "--runs", "1")
     assert run["first_wall_depth"] <= run["first_f_depth"]
     assert run["called"].keys() <= {"ok", "wall", "cannot tell"}
 
 
 @pytest.mark.slow
-def test_neither_healthy_runs_nor_re_seats_nor_sick_sensors_are_walls() -> None:
+def test_healthy_runs_re_seats_and_faulty_sensors_are_not_diagnosed_as_walls() -> None:
     cases = "healthy,re-seat,gain step,tilt,bead wear,striker"
     runs = benchmark("--only", cases, "--runs", "5")
     assert len(runs) == 30

@@ -177,7 +177,7 @@ def test_a_position_without_an_input_is_refused_when_the_configuration_is_read()
         KIND.require(BlockScopeParameters(channels={"B": "A"}), {"digitizer": ("C",)})
 
 
-def test_it_says_who_it_is(scope):
+def test_the_instrument_reports_its_identity(scope):
     with opened(serial=SERIAL) as its:
         assert its.identity["serial"] == SERIAL
     (finding,) = KIND.check(BlockScopeParameters(channels={"B": "A"}), OPENING)

@@ -85,13 +85,13 @@ def test_a_sound_acquisition_is_handed_on():
         ({"offset": math.inf}, "gain and offset differ"),
     ],
 )
-def test_what_contradicts_itself_is_no_record(changes, message):
+def test_an_inconsistent_acquisition_is_not_a_record(changes, message):
     with pytest.raises(ConnectionLostError, match=message):
         fetch(Session(**changes), SETUP, WIRING, 1.5)
 
 
 @pytest.mark.parametrize(("name", "value"), [("gain", math.nan), ("gain", 1e-3), ("offset", math.nan)])
-def test_a_scaling_that_makes_no_sense_is_no_scaling(monkeypatch, name, value):
+def test_an_invalid_scaling_is_refused(monkeypatch, name, value):
     sound = Session._waveform
 
     def every(self, index, samples):

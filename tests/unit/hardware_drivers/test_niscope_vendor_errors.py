@@ -89,7 +89,7 @@ def test_an_error_of_ours_passes_unchanged():
     assert raised.value is mine
 
 
-def test_what_the_driver_warns_of_is_kept_and_what_others_warn_of_goes_on():
+def test_warnings_of_the_driver_are_kept_and_others_passed_on():
     with warnings.catch_warnings(record=True) as others:
         warnings.simplefilter("always")
         with vendor_calls(niscope, "x") as noted:
@@ -106,7 +106,7 @@ def test_a_missing_package_names_the_extra(monkeypatch):
         vendor_package()
 
 
-def test_a_missing_runtime_says_what_to_install(monkeypatch):
+def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
     nitclk = pytest.importorskip("nitclk")
 
     def not_there(_handle):

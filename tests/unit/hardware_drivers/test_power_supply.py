@@ -51,7 +51,7 @@ def supply_on(line):
     return supply
 
 
-def test_what_reads_back_within_the_tolerance_is_on_limit_first():
+def test_a_setpoint_within_the_tolerance_is_accepted_and_the_limit_is_set_first():
     line = AnsweringLine(**{"VOLT?": 0.049, "CURR?": -0.019, "MEAS:VOLT?": 0.049})
     supply_on(line).energise(10.0, 1.0)
     assert line.sent == ["OUTP OFF", "CURR 1", "VOLT 10", "OUTP ON"]
@@ -67,7 +67,7 @@ def test_what_reads_back_within_the_tolerance_is_on_limit_first():
         ("MEAS:CURR?", 0.021, r"gives 1.021 A; at most 1.02 A was asked for"),
     ],
 )
-def test_what_lies_beyond_the_tolerance_is_switched_off_again(question, off_by, message):
+def test_a_setpoint_outside_the_tolerance_is_switched_off(question, off_by, message):
     line = AnsweringLine(**{question: off_by})
     with pytest.raises(ConfigurationError, match=message + ".*; the output is off"):
         supply_on(line).energise(10.0, 1.0)
@@ -79,14 +79,14 @@ def test_what_lies_beyond_the_tolerance_is_switched_off_again(question, off_by, 
     ("voltage_v", "current_limit_a", "message"),
     [(12.01, 1.0, "voltage_v is 12.01; .* voltage_cap_v = 12"), (10.0, 2.01, "current_limit_a is 2.01")],
 )
-def test_beyond_the_caps_nothing_is_sent(voltage_v, current_limit_a, message):
+def test_values_above_the_caps_are_not_sent(voltage_v, current_limit_a, message):
     line = AnsweringLine()
     with pytest.raises(ConfigurationError, match=message):
         supply_on(line).energise(voltage_v, current_limit_a)
     assert line.sent == []
 
 
-def test_a_tripped_protection_is_left_for_a_person():
+def test_a_tripped_protection_is_not_reset():
     line = AnsweringLine(**{"CURR:PROT:TRIP?": True})
     with pytest.raises(ConfigurationError, match=r"has tripped .*; the output was left as it was"):
         supply_on(line).energise(10.0, 1.0)

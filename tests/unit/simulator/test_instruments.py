@@ -96,7 +96,7 @@ def assert_same(first, second):
     np.testing.assert_array_equal(list(first.truth.values()), list(second.truth.values()))
 
 
-def test_a_strike_elsewhere_is_not_heard(make_bench):
+def test_a_strike_elsewhere_is_not_recorded(make_bench):
     bench = make_bench()
     bench.digitizer.arm(key(position="B"))
     bench.striker.strike(key(position="D"))
@@ -274,7 +274,7 @@ class TestAhead:
             [key(i, 1, "B") for i in range(10)],
         ]
 
-    def test_never_more_than_so_many_wait(self, make_bench, clock, held):
+    def test_the_number_of_waiting_jobs_is_limited(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
         assert RECORDS_AHEAD - LARGEST_GROUP < len(held.submitted) <= RECORDS_AHEAD
@@ -288,7 +288,7 @@ class TestAhead:
         assert held.submitted == submitted  # all of them are still expected
         assert not any(future.cancelled() for future in held.futures)
 
-    def test_what_is_expected_no_more_is_dropped(self, make_bench, clock, held):
+    def test_strikes_no_longer_expected_are_dropped(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
         n_submitted = len(held.futures)
@@ -309,7 +309,7 @@ class TestAhead:
         assert held.submitted == submitted
         assert not any(future.cancelled() for future in held.futures)
 
-    def test_a_retired_position_is_expected_again_once_it_strikes(self, make_bench, clock, executor):
+    def test_a_disabled_position_is_expected_again_after_a_strike(self, make_bench, clock, executor):
         bench = make_bench(executor=executor)
         list(self.strike_all(bench, clock, [key(9, 0, "B")], 0.5))
         for set_index in (1, 2):  # position D strikes no more

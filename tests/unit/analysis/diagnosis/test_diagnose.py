@@ -84,7 +84,7 @@ def diagnoses(
             yield assessment
 
 
-def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
+def test_a_thinning_wall_is_diagnosed_and_its_incident_wave_unchanged() -> None:
     found = list(diagnoses(wall(0.3)))
     assert found[-1].cause == WALL
     assert found[-1].probability > 0.99
@@ -101,7 +101,7 @@ def test_a_healthy_transducer_is_never_diagnosed_as_wall_thinning() -> None:
 
 
 @pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
-def test_what_moves_the_incident_wave_is_the_sensor_s(target: FloatArray) -> None:
+def test_a_change_of_the_incident_wave_is_diagnosed_as_sensor(target: FloatArray) -> None:
     found = list(diagnoses(growing(target)))
     assert found[-1].cause == SENSOR
     assert WALL not in {one.cause for one in found}
@@ -135,7 +135,7 @@ def test_an_alarm_that_no_cause_explains_is_undetermined() -> None:
     assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
 
 
-def test_what_is_remembered_survives_a_restart_as_json() -> None:
+def test_the_diagnosis_state_survives_a_restart_as_json() -> None:
     logs = healthy(4) + 0.002
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
@@ -169,7 +169,7 @@ def test_few_sets_give_parameters_that_show_a_small_change_less() -> None:
     assert diagnoses_of_both[0].probabilities[OK] > 0.9 > 0.5 > diagnoses_of_both[1].probabilities[OK]
 
 
-def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began() -> None:
+def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_started() -> None:
     history = healthy(6)[:BASELINE]
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
@@ -182,7 +182,7 @@ def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began(
     assert ok(0, BASELINE + 1500) > ok(0, BASELINE + 59) + 0.05
 
 
-def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> None:
+def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation() -> None:
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -203,7 +203,7 @@ def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> N
     assert not healthy_again.likely
 
 
-def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
+def test_a_first_wall_diagnosis_needs_a_higher_probability() -> None:
     design = diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
@@ -218,7 +218,7 @@ def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
     assert not any(remembering(one, diagnosis_of(one, design)).likely for one in between)
 
 
-def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
+def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets() -> None:
     logs = healthy(2)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
@@ -232,7 +232,7 @@ def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
     assert not remembering(memory, diagnosis_of(DiagnosisState(), design)).wall
 
 
-def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
+def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy() -> None:
     onset = np.arange(AFTER)[:, None] >= 60
     thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
     causes = [one.cause for one in diagnoses(thinner, confirmation=FOOT)]
@@ -242,7 +242,7 @@ def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
     assert (back[8], back[-1]) == (COUPLING, OK)
 
 
-def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
+def test_the_new_contact_level_is_estimated_from_the_following_sets() -> None:
     logs, mean = healthy(5), np.zeros(len(COMPONENTS))
     memory = DiagnosisState(moved=(1.0,) * len(COMPONENTS))
     for index in range(SETTLING + 5):
@@ -251,7 +251,7 @@ def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
     assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
 
 
-def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
+def test_growth_during_a_gap_is_not_a_step() -> None:
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -277,7 +277,7 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
-def test_averages_scatter_as_sets_with_memory_make_them(phi: float) -> None:
+def test_averages_scatter_as_autocorrelated_sets_do(phi: float) -> None:
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     found = covariance_of_averages(n, phi, confirmation_ago)

@@ -24,7 +24,7 @@ def bins(**changed):
     return bins_of_sets(**{**columns, **changed})
 
 
-def test_a_bin_says_what_its_sets_say():
+def test_a_bin_summarizes_its_sets():
     first, last = joined_bins(bins(), [0, 4])
     assert (first["first_set"], first["last_set"], first["first_h"], first["last_h"]) == (0, 3, 0.5, 2.0)
     assert (last["first_set"], last["last_set"]) == (4, 7)
@@ -40,7 +40,7 @@ def test_a_bin_says_what_its_sets_say():
     assert (last["n_alarms"], last["first_alarm"]) == (0, np.inf)
 
 
-def test_what_nothing_says_stays_nothing():
+def test_bins_without_values_stay_empty():
     (joined,) = joined_bins(bins(values=[[NAN, NAN]] * 6, quality=[None] * 6), [0])
     assert joined["count"].tolist() == [0, 0]
     assert (joined["minimum"] == np.inf).all()

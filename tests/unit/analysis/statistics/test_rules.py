@@ -45,7 +45,7 @@ def test_alarm_stays_until_five_assessed_sets_are_quiet():
     assert active([X, X, X, O, O, O, O, X, O, O, O, O, O])[-1] is False
 
 
-def test_unjudged_sets_neither_raise_nor_clear_nor_take_a_place():
+def test_unassessed_sets_neither_raise_nor_clear_an_alarm_nor_count():
     assert active([X, None, None, X, None, O, None, O, X]) == [O, O, O, O, O, O, O, O, X]
     assert active([X, X, X, *[None] * 20]) == [O, O] + [X] * 21
     assert active([X, X, X, O, None, O, None, O, O, None, O])[-2:] == [X, O]
@@ -97,7 +97,7 @@ def holes(sets, rule=HoleRule()):  # noqa: B008 frozen
     return [state.hole for state in after_each(next_hole_state, HoleState(), sets, rule)]
 
 
-def test_two_silent_sets_running_are_a_hole():
+def test_two_consecutive_silent_sets_are_a_hole():
     assert holes([HOLE_SET, HOLE_SET]) == [False, True]
     assert holes([HOLE_SET, WALL_SET, HOLE_SET]) == [False, False, False]
 
@@ -139,7 +139,7 @@ def test_sets_with_too_few_valid_shots_are_counted_while_they_run():
     assert poor_sets((0, 10), (6, 10), (7, 10), (0, 10)) == [1, 2, 0, 1]
 
 
-def test_a_set_in_which_nothing_was_tried_neither_counts_nor_interrupts():
+def test_a_set_without_attempts_neither_counts_nor_interrupts():
     assert poor_sets((0, 10), (0, 0), (0, 10)) == [1, 1, 2]
 
 

@@ -76,7 +76,7 @@ def test_one_feature_and_nearly_as_many_features_as_sets_are_assessed(p, n):
     assert np.isfinite(found.chart[n:]).all()
 
 
-def test_a_shift_is_seen_by_the_chart_and_after_an_alarm_it_begins_from_zero():
+def test_a_shift_raises_an_alarm_and_the_chart_restarts_from_zero():
     x = healthy("independent", 400, np.random.default_rng(2))
     x[300:] += 3.0
     found = assessment_of(x, 200)
@@ -89,7 +89,7 @@ def test_a_shift_is_seen_by_the_chart_and_after_an_alarm_it_begins_from_zero():
 
 
 @pytest.mark.parametrize(("name", "n"), [("independent", 24), ("AR .6", 200), ("t5", 60)])
-def test_set_after_set_the_design_says_what_it_says_of_the_whole_sequence(name, n):
+def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
     x = healthy(name, n + 80, np.random.default_rng(17))
     x[n - 5] = x[[n + 3, n + 4, n + 20]] = np.nan
     x[n + 40 :] += 5.0
@@ -117,7 +117,7 @@ def test_an_alarm_of_the_chart_ends_where_a_healthy_sensor_is_on_average():
     assert not next_alarming(True, 5.0, 40.0, 5)
 
 
-def test_one_rogue_set_alone_never_alarms():
+def test_one_outlier_set_alone_never_raises_an_alarm():
     x = healthy("independent", 300, np.random.default_rng(3))
     x[100] = 1e6
     found = assessment_of(x, 60)
@@ -209,7 +209,7 @@ def test_a_group_is_named_among_many_features_too():
     assert found >= 26  # 94 % are named: 28, and one SD is 1.3
 
 
-def test_few_healthy_baselines_have_something_named():
+def test_few_healthy_baselines_have_anomalies():
     named = sum(
         bool(named_in(healthy("independent", 48, np.random.default_rng([15, k])))) for k in range(150)
     )
@@ -217,7 +217,7 @@ def test_few_healthy_baselines_have_something_named():
 
 
 @pytest.mark.parametrize("n", [48, 400])
-def test_memory_is_taken_to_be_larger_than_found(n):
+def test_autocorrelation_is_raised_by_three_standard_errors(n):
     x = healthy("AR .3", n, np.random.default_rng(16))
     found, taken = directions_of(x), designed(x, 1000.0).phi
     assert np.arctanh(taken) - np.arctanh(found.guarded) == pytest.approx(np.full(5, 3.0 * found.error))
@@ -248,7 +248,7 @@ def test_the_chart_is_invariant_to_linear_mixtures_of_the_features():
         ("slow drift", 200, "the baseline"),
     ],
 )
-def test_a_rate_is_promised_only_where_the_baseline_can_show_it(name, n, why):
+def test_a_rate_is_verified_only_by_a_long_enough_baseline(name, n, why):
     reasons = []
     for seed in range(10):
         x = healthy(name, n, np.random.default_rng(seed))

@@ -98,7 +98,7 @@ def test_without_a_wave_nothing_is_proposed():
     assert found.off.height_v == pytest.approx(1.0, abs=5 * NOISE_V), "the spike is told all the same"
 
 
-def test_noise_that_passes_the_level_by_itself_is_no_spike_s_matter():
+def test_noise_above_the_level_is_not_reported_as_a_spike():
     assert survey(WAVE, noise_v=0.05).obstacle == "noise"
 
 
@@ -125,7 +125,7 @@ def test_a_level_far_below_the_wave_is_raised_to_a_tenth_of_it():
     assert found.trigger_level_v == pytest.approx(0.1 * 3.5 * WAVE_V, rel=0.02)
 
 
-def test_a_falling_slope_sees_the_same_upside_down():
+def test_a_falling_slope_triggers_on_the_inverted_signal():
     volts = WAVE + spike(PULSE_S, 1.0, 50e-6)
     up = survey(volts, offset_v=0.0)
     down = survey(-volts, offset_v=0.0, trigger_level_v=-LEVEL_V, rising=False)

@@ -43,7 +43,7 @@ def limited(how, amount, seed=99):
 
 
 @pytest.mark.parametrize(("how", "amount"), [(hard, 0.95), (soft, 1.7)])
-def test_a_top_lower_than_its_flanks_say_is_clipped(how, amount):
+def test_a_top_lower_than_extrapolated_from_its_flanks_is_clipped(how, amount):
     odd = limited(how, amount)
     assert odd.flags == (), "by itself"
     assert flags_of([*clean(9), odd]) == [()] * 9 + [("clipped",)]
@@ -58,7 +58,7 @@ def test_a_strike_of_another_height_arrival_or_width_is_not_clipped():
     assert flags_of([*clean(8), *others]) == [()] * 11
 
 
-def test_what_scatters_in_all_shots_is_no_soft_limit():
+def test_scatter_in_all_shots_is_not_a_soft_limit():
     """Contacts seated anew let the reflected wave's height scatter by 4 %, as tanh to .95 moves it once."""
     ratios = 0.5 * (1.0 + 0.04 * np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6]))
     assert flags_of([clean(1, k, amplitude_ratio=ratio)[0] for k, ratio in enumerate(ratios)]) == [()] * 10
@@ -96,12 +96,12 @@ def test_noise_is_no_cut():
     assert not any("disturbed" in flags for flags in flags_of(clean(40, 40, noise_fraction=0.15)))
 
 
-def test_what_follows_the_reflected_wave_may_scatter():
+def test_waves_after_the_reflected_wave_may_scatter():
     delays_s = 170e-6 + 1e-6 * np.array([-9, -7, -5, -3, -1, 1, 3, 5, 7, 9])
     assert flags_of([clean(1, k, ssw_delay_s=delay_s)[0] for k, delay_s in enumerate(delays_s)]) == [()] * 10
 
 
-def test_what_follows_the_reflected_wave_may_scatter_widely():
+def test_waves_after_the_reflected_wave_may_scatter_widely():
     """Height by half and arrival by 20 us: no shot of such a set is odd because it looks like a cut."""
     parts = np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6])
     random = np.random.default_rng(0)
@@ -116,7 +116,7 @@ def test_what_follows_the_reflected_wave_may_scatter_widely():
 
 # A lower wave, and one that comes 20 us earlier: a cut of 40 us explains a part of it.
 @pytest.mark.parametrize("change", [{"ssw_fraction": 0.04}, {"ssw_delay_s": 150e-6}])
-def test_another_wave_behind_the_reflected_one_is_no_cut(change):
+def test_another_wave_after_the_reflected_one_is_not_a_cut(change):
     assert flags_of([*clean(9), *clean(1, 30, **change)]) == [()] * 10
 
 

@@ -232,7 +232,7 @@ def test_valid_faults_are_the_three_that_leave_the_vector_usable():
     assert set(FLAGS) - INVALIDATING_FLAGS == {"psw_merged", "baseline", "noisy"}
 
 
-def test_nothing_is_made_up_where_no_wave_came_back():
+def test_features_of_a_missing_reflected_wave_are_not_available():
     shot = extract_features(flagged("no_psw"))
     missing = {name for name, value in shot.values().items() if math.isnan(value)}
     assert missing == set(ALL_FEATURE_NAMES) - {
@@ -532,7 +532,7 @@ def test_waves_that_overlap_at_the_end_are_no_drift():
     assert "baseline" in seen.flags
 
 
-def test_a_record_that_ends_on_its_reflected_wave_has_no_end_to_judge():
+def test_a_record_that_ends_on_its_reflected_wave_has_no_end_to_assess():
     scene = NOISY.with_(n_samples=6_400, tof_s=400e-6, ssw_fraction=0.0)
     assert features_of(scene).flags == ()
 

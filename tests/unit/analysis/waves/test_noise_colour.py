@@ -55,7 +55,7 @@ def colour(volts, scene, isw_time_s):
     return noise_colour(record, isw_time_s, settings.isw_fwhm_s), record
 
 
-def test_white_noise_has_no_memory():
+def test_white_noise_has_no_autocorrelation():
     scene = SCENE.with_(noise_fraction=NOISE)
     found = [colour(scene.volts(seed), scene, scene.isw_time_s)[0] for seed in range(40)]
     white2 = (NOISE * scene.isw_v) ** 2

@@ -85,7 +85,7 @@ def test_the_only_shot_of_a_wall_in_a_file_is_not_flagged():
     assert flags_of([*walls, foreign(330e-6, 0.12, 200e-6)]) == [()] * 17 + [DISTURBED]
 
 
-def test_a_third_and_more_that_are_earlier_are_another_wall():
+def test_a_third_or_more_of_earlier_reflections_are_another_wall():
     walls = [*clean(6, tof_s=520e-6), *clean(4, first=20, tof_s=480e-6)]
     assert flags_of(walls) == [()] * 10
 
@@ -111,7 +111,7 @@ def test_a_wave_at_the_beginning_of_its_record_has_no_outline_before(pretrigger_
     assert np.isfinite(shot.outline.points).all() == begins_inside
 
 
-def test_flags_that_count_the_others_already_stay():
+def test_flags_that_already_count_the_others_are_kept():
     shots = compared_with_others([*clean(9), foreign(330e-6, 0.12, 200e-6)], None)
     assert compared_with_others(shots, None) == shots
 

@@ -72,7 +72,7 @@ def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag
     ("arrives_s", "scatter_s", "flag"),
     [(70e-6, 2e-6, "no_psw"), (90e-6, 2e-6, "missed"), (10e-6, 2e-6, "missed"), (90e-6, 8e-6, "no_psw")],
 )
-def test_a_pulse_like_its_own_that_did_not_fire_the_trigger_is_no_sign_of_a_hole(arrives_s, scatter_s, flag):
+def test_a_similar_pulse_that_did_not_trigger_indicates_no_hole(arrives_s, scatter_s, flag):
     silent = replace(SHOT, isw_time_s=arrives_s, flags=("no_psw",), valid=False, quality="bad")
     own = replace(OWN, isw_time_s=5e-5, isw_time_sd_s=scatter_s)
     assert compared(silent, own).flags == (flag,)
@@ -102,7 +102,7 @@ def test_weak_strikes_are_flagged_where_every_second_one_is_weak():
     assert [compared(shot, own).flags for shot in shots] == [(), ("missed",)] * 5
 
 
-def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
+def test_a_pull_counts_only_above_the_noise_of_the_shot():
     pulled = replace(SHOT, pull_fraction=0.08)
     for sd, flags in ((0.01, ("disturbed",)), (0.03, ())):
         assert compared(replace(pulled, outline=Outline(points=np.zeros(57), sd=sd)), OWN).flags == flags

@@ -341,7 +341,7 @@ class MovesInEarnest(Striker):
         raise AssertionError("a striker moved")
 
 
-def test_where_somebody_allowed_it_the_position_s_own_striker_strikes(prove):
+def test_the_striker_of_the_position_strikes_with_permission(prove):
     result = prove("--solimon-config", "rig.toml", "--solimon-strike", striker=MovesInEarnest)
     assert "a strike on an armed digitizer is recorded" in broken_rules(result)
     assert "a striker moved" in result.stdout.str()

@@ -31,7 +31,7 @@ DISARMING = "        finally:\n            self.disarm()\n        range_v"
         ),
     ],
 )
-def test_the_page_s_command_says_what_the_page_says(driver, expected, pytester, monkeypatch):
+def test_the_command_of_the_page_prints_its_documented_output(driver, expected, pytester, monkeypatch):
     assert DISARMING in DRIVER
     package = tomllib.loads(PACKAGE)["project"]
     offered = {

@@ -74,7 +74,7 @@ def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
         (None, "Deadline Exceeded"),
     ],
 )
-def test_the_reason_of_grpc_is_in_the_message_and_what_doctor_finds(address, reason):
+def test_the_grpc_reason_is_in_the_message_and_in_the_finding_of_doctor(address, reason):
     """NI's package has one text for whatever makes a server unavailable."""
     pytest.importorskip("nidaqmx")
     from hardware_drivers.daqmx.survey import survey

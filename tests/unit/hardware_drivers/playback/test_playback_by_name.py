@@ -42,7 +42,7 @@ def test_a_channel_named_after_its_position_is_its_shot(tmp_path):
 
 
 @pytest.mark.parametrize("pattern", ["B_{}", "B{}", "B shot {}", "B.Shot_{}", "B-{}"])
-def test_a_number_behind_it_is_the_shot_s(tmp_path, pattern):
+def test_a_number_after_the_position_is_the_shot_index(tmp_path, pattern):
     path = recording(tmp_path / "x.tdms", *(pattern.format(number) for number in (2, 10)))
     assert found(path) == {("B", 0, 2): 0, ("B", 0, 10): 1}
 
@@ -82,7 +82,7 @@ def test_a_name_for_two_positions_is_refused(tmp_path):
         found(path, wanted)
 
 
-def test_a_position_s_own_name_is_no_shot_of_another(tmp_path):
+def test_the_name_of_a_position_is_not_matched_as_a_shot_of_another(tmp_path):
     path = recording(tmp_path / "x.tdms", "B1", "B")
     assert found(path, {"B": "solitary_wave", "B1": "solitary_wave"}) == {("B", 0, 0): 1, ("B1", 0, 0): 0}
 

@@ -161,7 +161,7 @@ def test_codes_without_a_scaling_need_the_board_s_polynomial(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["group", "file"])
-def test_a_scaling_may_stand_above_the_channel(tmp_path, place):
+def test_a_scaling_may_belong_to_the_group_or_the_file(tmp_path, place):
     scaling = {name: value for name, value in RAW.items() if name.startswith("NI_")}
     write(
         tmp_path / "set_7.tdms",
@@ -258,7 +258,7 @@ def test_floats_that_were_scaled_are_not_scaled_again(tmp_path):
 
 @pytest.mark.parametrize(("unit", "message"), [("Pa", "the unit is 'Pa', V is needed"), (None, "no unit")])
 @pytest.mark.parametrize("kind", ["codes", "scaled"])
-def test_what_is_not_volts_needs_a_scale(tmp_path, unit, message, kind):
+def test_a_unit_other_than_volts_needs_a_scale(tmp_path, unit, message, kind):
     properties = without(RAW if kind == "codes" else VOLTS, "unit_string")
     values = SHOT.waveform.counts if kind == "codes" else SHOT.waveform.volts()
     one_channel(tmp_path, values, properties if unit is None else properties | {"unit_string": unit})
@@ -275,7 +275,7 @@ def test_volts_have_many_names_and_are_never_scaled(tmp_path, unit):
     assert coefficients.tolist() == SHOT.waveform.calibration.coefficients_v.tolist()
 
 
-def test_a_missing_rate_is_asked_for(tmp_path):
+def test_a_missing_rate_is_requested(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_increment"))
     with pytest.raises(
         ConfigurationError, match=r"no sample rate \(wf_increment is missing\); give sample_rate"
@@ -316,7 +316,7 @@ def test_a_trigger_outside_the_record_is_refused(tmp_path):
         open_tdms(tmp_path)
 
 
-def test_what_the_channel_says_wins_over_its_group_and_that_over_the_file(tmp_path):
+def test_channel_properties_override_group_properties_and_those_the_file(tmp_path):
     write(
         tmp_path / "set_7.tdms",
         [("B", "shot_3", SHOT.waveform.counts, without(RAW, "wf_start_offset"))],
@@ -350,7 +350,7 @@ def test_a_record_without_a_time_has_none(tmp_path):
         assert shots.next_moment(0) is None
 
 
-def test_a_time_that_is_none_is_refused(tmp_path):
+def test_an_invalid_time_is_refused(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"wf_start_time": "noon"})
     with pytest.raises(ConfigurationError, match="wf_start_time is 'noon', no time stamp"):
         open_tdms(tmp_path)
@@ -393,7 +393,7 @@ def test_properties_may_supply_all_settings(tmp_path):
 
 
 @pytest.mark.parametrize("number", ["three", "3.5", 2.5, -1])
-def test_a_number_that_is_none_is_refused(tmp_path, number):
+def test_an_invalid_number_is_refused(tmp_path, number):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"Shot": number})
     with pytest.raises(ConfigurationError, match=rf"the shot .*{re.escape(str(number))}"):
         open_tdms(tmp_path, TdmsMapping(channel_pattern=".*", shot_property="Shot"))
@@ -469,7 +469,7 @@ def test_two_records_of_one_shot_are_refused_with_both_places(tmp_path):
         open_tdms(tmp_path)
 
 
-def test_what_does_not_match_is_left_out_and_nothing_at_all_is_an_error_that_shows_names(tmp_path):
+def test_unmatched_files_are_skipped_and_no_match_is_an_error_with_the_names(tmp_path):
     channels = [("B", "shot_3", SHOT.waveform.counts, RAW), ("Log", "room temperature", [21.5, 22.0], {})]
     write(tmp_path / "set_7.tdms", channels)
     (tmp_path / "notes.tdms").write_text("not looked into: its name does not match")
@@ -614,7 +614,7 @@ def test_a_file_damaged_anywhere_gives_our_error_or_a_record(tmp_path):
     assert refused > len(whole) // 3
 
 
-def test_a_record_shorter_than_it_says_is_refused(tmp_path):
+def test_a_record_shorter_than_its_stated_length_is_refused(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"wf_samples": 301})
     with pytest.raises(ConfigurationError, match=r"'shot_3': cut short, 300 of 301 samples \(wf_samples\)"):
         open_tdms(tmp_path)

@@ -103,13 +103,13 @@ def test_every_level_has_its_sizes_and_they_grow():
         assert lower.reseats_per_1000_h < higher.reseats_per_1000_h
 
 
-def test_without_nuisance_nothing_is_drawn_and_nothing_stored():
+def test_without_variability_nothing_is_drawn_and_nothing_stored():
     made = specimen()
     assert found(made, key()) is None
     assert not [name for name in truths(made, [key()])[0] if name.startswith("nuisance")]
 
 
-def test_a_nuisance_without_sizes_changes_no_count(only):
+def test_variability_of_size_zero_changes_no_count(only):
     plain, inert = (
         made.solitary_wave(key(3, 4), 20.0)
         for made in (
@@ -230,7 +230,7 @@ def test_corrosion_leaves_the_incident_wave_as_it_was():
     assert gone.truth["tof_s"] > 1.02 * same.truth["tof_s"]
 
 
-def test_contacts_are_seated_one_by_one_and_beads_turn_to_both_sides(only):
+def test_contacts_are_seated_one_by_one_and_spheres_turn_to_both_sides(only):
     made = only(contact_stiffness=SourceParameters(shot_sd=0.05))
     factors = np.array([found(made, key(k)).contacts.stiffness_factor for k in range(400)])
     assert np.all(factors[:, -1] == 1.0), "the plate's contact is a source of its own"
@@ -340,7 +340,7 @@ def test_warmth_softens_chain_and_plate_slows_the_striker_and_acts_on_the_pzt(on
     assert wall.warmer_k == pytest.approx(plate_k, rel=1e-9)
 
 
-def test_factors_of_contacts_and_plate_are_a_chain_and_a_plate_with_these_moduli():
+def test_factors_of_contacts_and_plate_equal_changed_moduli():
     plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
     nominal = ShotModel(CHAIN, plate, CorrosionParameters(), cache_folder=None)
     soft = ShotModel(
@@ -394,7 +394,7 @@ def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(on
         ({"contacts": (np.full(9, np.nan), np.ones(9))}, "stiffness_factor is .*it must be 9 positive"),
     ],
 )
-def test_a_seat_that_is_none_is_refused(given, message):
+def test_an_invalid_seat_is_refused(given, message):
     if "contacts" in given:
         stiffness, damping = given["contacts"]
         given = {"contacts": Contacts(stiffness_factor=stiffness, damping_factor=damping)}

@@ -153,7 +153,7 @@ def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name
     assert late is None or not np.array_equal(late.waveform.counts, plain.waveform.counts)
 
 
-def test_a_neighbour_s_faults_are_not_felt(specimen):
+def test_the_faults_of_a_neighbour_have_no_effect(specimen):
     faults = {name: fault for name, (fault, _) in ACTIVE.items()}
     plain = specimen(TwinParameters()).solitary_wave(key(position="D"), YEAR_H)
     with_faults = specimen(TwinParameters(), **faults).solitary_wave(key(position="D"), YEAR_H)
@@ -163,7 +163,7 @@ def test_a_neighbour_s_faults_are_not_felt(specimen):
 # ---- truth and determinism
 
 
-def test_every_fault_is_tried_here():
+def test_every_fault_of_the_double_is_tested():
     assert set(ACTIVE) == {field.name for field in fields(FaultParameters)}
 
 
@@ -405,7 +405,7 @@ def test_hum_is_a_sinusoid_of_its_frequency_and_phase():
     np.testing.assert_allclose(volts, 0.3 * np.sin(2 * np.pi * 60.0 * t + 1.0), atol=1e-15)
 
 
-def test_the_phase_of_the_hum_is_anybody_s_guess_at_every_strike(specimen):
+def test_the_phase_of_the_hum_is_random_at_every_strike(specimen):
     made = specimen(mains_hum=MainsHumFault(amplitude_v=0.1))
     records = [made.solitary_wave(key(k % 10, k // 10), 0.0) for k in range(100)]
     turns = [record.truth["fault_mains_hum_phase_rad"] / (2.0 * np.pi) for record in records]

@@ -108,7 +108,7 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, monkeypatch, caplog):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_a_reader_holds_on_windows_is_left_without_a_word(tmp_path, monkeypatch, caplog):
+def test_a_file_held_open_on_windows_is_skipped_silently(tmp_path, monkeypatch, caplog):
     write_arrays(tmp_path / "key.arrays", ARRAYS)
 
     def held(*_):

@@ -79,7 +79,7 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
     ],
     ids=["stiffness", "one mass", "both masses", "not a number"],
 )
-def test_what_is_no_structure_is_refused(stiffness, mass):
+def test_invalid_stiffness_and_mass_are_refused(stiffness, mass):
     with pytest.raises(np.linalg.LinAlgError):
         driven_modes(stiffness, mass, 1.0, 2)
 

@@ -152,7 +152,7 @@ def test_a_wave_that_comes_during_the_delay_is_not_recorded(brain, me):
         volts_of(me, task, timeout=0.5)
 
 
-def test_an_acquisition_that_waits_for_the_falling_edge_does_not_hear_the_rising_one(brain, me):
+def test_an_acquisition_armed_for_the_falling_edge_ignores_the_rising_edge(brain, me):
     task = free(me, 100)
     start_by(me, task)
     coil = shot(me, task)
@@ -228,7 +228,7 @@ def test_flyback_and_bounces_are_drawn_where_they_belong(brain, me):
     np.testing.assert_allclose(volts[off : off + 10_000], ramp, atol=CODE_V)
 
 
-def test_a_pulse_too_short_to_lift_is_heard_all_the_same(brain, me):
+def test_a_pulse_too_short_to_lift_the_striker_is_recorded(brain, me):
     brain.disturb("C", {"on_v": 1.0, "decay_s": 1e-4})
     task = me.digitizer(f"{NAME}/ai0")
     coil = me.coil(f"{NAME}/ctr0", high_time=0.2e-3)

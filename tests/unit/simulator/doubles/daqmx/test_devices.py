@@ -34,7 +34,7 @@ def names(me):
     return me("GetSystemInfoAttribute", attribute=DEVICE_NAMES)["value"]
 
 
-def test_the_first_call_after_unplugging_says_why_later_ones_that_it_is_over(brain, me):
+def test_the_first_call_after_unplugging_returns_the_reason_and_later_ones_a_lost_device(brain, me):
     task = me.digitizer(INPUT)
     me("StartTask", task)
     brain.unplug(SERIAL)
@@ -220,7 +220,7 @@ def test_each_line_goes_to_its_own_state(brain, me):
     assert watched_lines(brain, me, names, states) == [f"{SERIAL}/PFI1"]
 
 
-def test_a_counter_is_cut_at_the_line_its_pulse_leaves_through_and_does_not_know(brain, me):
+def test_an_expired_watchdog_cuts_the_output_line_of_a_counter(brain, me):
     line_watchdog(me, f"{BOARD}/port2/line4", [LOW])
     coil = me.coil(COUNTER, initial_delay=0.0, high_time=2.0)
     me("StartTask", coil)
@@ -292,7 +292,7 @@ def test_a_watchdog_runs_34_seconds_at_most(me, timeout_s, code):
     assert code_of(watchdog, me, timeout_s) == code
 
 
-def test_boards_without_a_watchdog_say_so(me):
+def test_boards_without_a_watchdog_are_reported(me):
     arguments = {"device_name": "PXI1Slot4", "session_name": "", "timeout": 1.0}
     assert code_of(me, "CreateWatchdogTimerTaskEx", **arguments) == -200662
 

@@ -241,7 +241,7 @@ def timing(**changes):
         ("Abort", {"vi": 99}, INVALID_SESSION),
     ],
 )
-def test_what_cannot_be_is_refused_by_its_number(scope, name, arguments, code):
+def test_an_invalid_call_is_refused_with_its_number(scope, name, arguments, code):
     with refused(code):
         scope(name, **arguments)
     assert scope("error_message", error_code=code)["error_message"] == MESSAGES[code]

@@ -46,7 +46,7 @@ def test_noise_belongs_to_the_seed_and_has_its_size():
     assert spread == pytest.approx(1e-3, rel=0.15)  # four standard errors: 4 / sqrt(2 * 399)
 
 
-def test_it_keeps_its_ratings_and_says_what_it_does_not_know(supply):
+def test_the_supply_keeps_its_ratings_and_rejects_unknown_commands(supply):
     for command, entry in (
         ("VOLT 31", '-222,"Data out of range"'),
         ("CURR 5.1", '-222,"Data out of range"'),

@@ -241,7 +241,7 @@ def test_a_patch_next_to_the_contact_counts_less_than_one_below_it():
         ({"offset_y_m": -0.095, "size_m": 0.02}, r"along y, beyond its edge at 0.1 m"),
     ],
 )
-def test_patches_that_cannot_be_are_refused(further, message):
+def test_impossible_patches_are_refused(further, message):
     with pytest.raises(SpecimenError, match=message):
         build_plate(PLATE, replace(PATCH, further=(PatchParameters(**further),)))
 
