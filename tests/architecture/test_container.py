@@ -57,7 +57,7 @@ def test_the_container_starts_our_command_on_its_exposed_port() -> None:
 
 @contextmanager
 def page(status: int) -> Iterator[int]:
-    """Serve a page that is well, or is not; its port."""
+    """Serve a page with this status; yield its port."""
 
     class Page(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -65,7 +65,7 @@ def page(status: int) -> Iterator[int]:
             self.end_headers()
 
         def log_message(self, *words: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     with HTTPServer(("127.0.0.1", 0), Page) as server:
         thread = threading.Thread(target=server.serve_forever)

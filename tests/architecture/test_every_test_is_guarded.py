@@ -127,7 +127,7 @@ HANGS = {
 
 @pytest.fixture(scope="module")
 def failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Run these tests as the suite's are; return what each one failed with, "" when it passed."""
+    """Run these tests like the suite; return the failure message of each, "" if it passed."""
     folder = tmp_path_factory.mktemp("guarded")
     for name, text in (("conftest", CONFTEST), ("test_wrongdoers", WRONGDOERS), ("test_wide", WIDE)):
         (folder / f"{name}.py").write_text(text, encoding="utf-8")

@@ -42,7 +42,7 @@ def drawn_page(open_, url, **options):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all tests, as the service is one."""
+    """Yield one page for all tests."""
     with watched_pages(browser) as open_:
         yield drawn_page(open_, service.url)
 

@@ -30,7 +30,7 @@ SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
 
 @pytest.fixture(scope="module")
 def history(tmp_path_factory):
-    """A folder that tests only read."""
+    """Return a folder that tests only read."""
     folder = FilledFolder(tmp_path_factory.mktemp("history"), SETTINGS)
     for index in range(N_SETS):
         folder.add_set(index, stored=False, shown=index == N_SETS - 1)
@@ -42,7 +42,7 @@ def history(tmp_path_factory):
 
 @pytest.fixture
 def filled(history, tmp_path):
-    """A copy of it that a recorder goes on with."""
+    """Return a copy of it that a recorder continues."""
     shutil.copytree(history, tmp_path, dirs_exist_ok=True)
     folder = FilledFolder(tmp_path, SETTINGS, exists=True)
     yield folder
@@ -63,7 +63,7 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def ordered(history, tmp_path_factory):
-    """Another copy, of which no test takes a set."""
+    """Return another copy, of which no test takes a set."""
     place = tmp_path_factory.mktemp("ordered") / "data"
     shutil.copytree(history, place)
     folder = FilledFolder(place, SETTINGS, exists=True)
@@ -74,7 +74,7 @@ def ordered(history, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def ordering(ordered, browser):
-    """Its folder, and one page for all orders of which nothing is left."""
+    """Yield its folder and one page for all commands that leave nothing behind."""
     folder, running = ordered
     with watched_pages(browser) as open_:
         page = open_(running.url)
@@ -87,14 +87,14 @@ def shown(page):
 
 
 def wait_for_sets(page, count):
-    """Until every chart has that many points and its fit is drawn."""
+    """Wait until every chart has that many points and its fit is drawn."""
     for name in ("distance", "tof", "amplitude-ratio", "thickness"):
         expect(page.locator(f"#{name}")).to_have_attribute("data-points", str(count))
     expect(page.locator("#tof")).to_contain_text("R²")
 
 
 def assert_drawn_is_the_api(page, service, position="B"):
-    """Drawn numbers equal the API's, scaled to the axis's unit."""
+    """Check that drawn numbers equal those of the API, scaled to the unit of the axis."""
     with service.client() as api:
         trend = api.get(f"/api/v1/trends/{position}").json()["columns"]
         wall = api.get("/api/v1/trends/A").json()["columns"]
@@ -132,7 +132,7 @@ def test_history_is_drawn_as_the_api_has_it(historian, open_page):
 
 
 def see_the_supply_and_climate(filled, page):
-    """With their quality and age."""
+    """Check supply and climate with their quality and age."""
     strip = page.locator("#environment")
     expect(strip).to_be_hidden()
     filled.add_environment(N_SETS - 1)
@@ -273,7 +273,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
 
 
 def answer(filled, kind, arguments, state="done", result=""):
-    """Answer the one waiting order as the recorder does."""
+    """Answer the one waiting command as the recorder does."""
     (command,) = filled.catalogue.open_commands()
     assert (command.kind, command.author, command.arguments) == (kind, "dashboard", arguments)
     filled.catalogue.finish_command(command.id, state, result)

@@ -90,7 +90,7 @@ def demo(tmp_path):
 
 
 def asked_until(page, found, what):
-    """Ask again and again, and leave the page time: Playwright hears of it only while it waits."""
+    """Query repeatedly and leave the page time: Playwright handles events only while it waits."""
 
     def ask():
         page.evaluate("new Promise(done => setTimeout(done, 100))")

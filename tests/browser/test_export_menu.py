@@ -37,7 +37,7 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all of them: two positions, a range of hours, and a set."""
+    """Yield one page for all tests: two positions, a range of hours, and a set."""
     context = browser.new_context(viewport=DESK, permissions=["clipboard-read", "clipboard-write"])
     page = context.new_page()
     page.goto(f"{service.url}?{ZOOM}&position=B&compare=C&feature=isw_fwhm_s&set={LAST}")
@@ -52,7 +52,7 @@ def charts(page):
 
 
 def opened(page, of):
-    """The menu that says so, open."""
+    """Return the menu with this label, opened."""
     menu = page.locator("details.export", has=page.locator(f'summary[aria-label="Export: {of}"]'))
     if menu.get_attribute("open") is None:
         menu.locator("summary").click()
@@ -61,7 +61,7 @@ def opened(page, of):
 
 
 def run_copied(page, of):
-    """What a person has who copies the Python of a menu and runs it."""
+    """Copy the Python of a menu and run it; return its variables."""
     menu = opened(page, of)
     menu.get_by_role("button", name="Copy as Python").click()
     expect(menu.get_by_role("status")).to_have_text("Copied")
@@ -75,7 +75,7 @@ def run_copied(page, of):
 
 
 def shown(page, chart, key):
-    """Hours and values of a line of a chart, within the zoom."""
+    """Return hours and values of a line of a chart within the zoom."""
     drawn = charts(page)[chart]
     return np.array(
         [

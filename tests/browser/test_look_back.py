@@ -31,7 +31,7 @@ RENEWED = 50
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """One test that goes on from test to test: each adds sets, and counts from what is there."""
+    """Return one test that all tests of the module extend: each adds sets and counts from there."""
     folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
     make_assessment = folder.assessment
 

@@ -20,7 +20,7 @@ N_SETS = 6
 
 @pytest.fixture(scope="module")
 def tests(tmp_path_factory):
-    """A test, its twin that is a few sets further, and a folder that is not there."""
+    """Yield a test, a copy that is a few sets further, and a missing folder."""
     place = tmp_path_factory.mktemp("many")
     found = {}
     for name, sets in (("Plate 7", N_SETS), ("Twin of plate 7", N_SETS + 3)):

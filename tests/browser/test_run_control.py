@@ -54,7 +54,7 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def shared(service, browser):
-    """A page for orders that leave nothing behind, with the card of run control open."""
+    """Yield a page for commands that leave nothing behind, with the control card open."""
     with watched_pages(browser) as open_:
         page = open_(service.url, name="ann")
         page.get_by_text("Run control").click()
@@ -62,7 +62,7 @@ def shared(service, browser):
 
 
 def answered(filled, author="ann"):
-    """Take the one waiting order as the recorder does; its kind and arguments."""
+    """Take the one waiting command as the recorder does; return its kind and arguments."""
     (command,) = filled.catalogue.open_commands()
     assert command.author == author
     filled.catalogue.finish_command(command.id, "done", "done")

@@ -83,7 +83,7 @@ def api(service):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all tasks."""
+    """Yield one page for all tasks."""
     with watched_pages(browser) as open_:
         page = open_(service.url, name="ann", permissions=["clipboard-read", "clipboard-write"])
         page.context.add_init_script(COUNT_PRESSES)
@@ -100,12 +100,12 @@ def click(selector):
 
 
 def point(chart, hour):
-    """Click on what a chart has at an hour."""
+    """Click on the point of a chart at an hour."""
     return "point", (chart, hour)
 
 
 def keys(text):
-    """Type without a click."""
+    """Type keys without a click."""
     return "type", text
 
 

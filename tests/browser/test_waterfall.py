@@ -71,7 +71,7 @@ def drawn(page, what="the waterfall is drawn"):
 
 
 def pixels(page, canvas="image"):
-    """RGBA of the canvas, shape (height, width, 4)."""
+    """Return RGBA of the canvas, shape (height, width, 4)."""
     width, height, data = page.evaluate(
         f"""() => {{
           const canvas = document.querySelector(".waterfall-{canvas}");
@@ -84,7 +84,7 @@ def pixels(page, canvas="image"):
 
 
 def value_of(rgb, limit):
-    """The voltage that a colour of the light map stands for."""
+    """Return the voltage of a color of the light map."""
     parts = np.linspace(0.0, 1.0, 128)
     best = (np.inf, 0.0)
     for sign, stops in LIGHT.items():
@@ -97,7 +97,7 @@ def value_of(rgb, limit):
 
 @pytest.fixture(scope="module")
 def shared(service, browser):
-    """A page for whatever is one view after the other."""
+    """Yield a page that shows one view after the other."""
     with watched_pages(browser) as open_:
         # Only a test reads pixels back.
         page = open_(f"{service.url}?theme=light&position=B", forgiven="Canvas2D: Multiple readback")
@@ -106,7 +106,7 @@ def shared(service, browser):
 
 
 def light(page, position="B", **view):
-    """Show a view of the light page from its first hour to its last, until it is drawn."""
+    """Show a view of the light page from its first hour to its last; wait until it is drawn."""
     show(
         page, f"?theme=light&position={position}" + "".join(f"&{key}={value}" for key, value in view.items())
     )
@@ -275,12 +275,12 @@ def test_touch_gestures_pan_zoom_and_open(filled, service, open_page):
         screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def under(x, y):
-        """Hour and seconds at a place of the picture."""
+        """Return hour and seconds at a point of the figure."""
         (from_h, to_h), (from_s, to_s) = shown(page)["hours"], shown(page)["seconds"]
         return from_h + x * (to_h - from_h), from_s + y * (to_s - from_s)
 
     def dragged(begin, end):
-        """Fingers keep what lies under them."""
+        """Drag by touch; the data stay under the fingers."""
         held = [value for place in begin for value in under(*place)]
         touch("touchStart", *begin)
         touch("touchMove", *end)

@@ -40,7 +40,7 @@ class ArchiveContract:
 
     @pytest.fixture
     def reopened(self) -> Callable[[], Archive]:
-        """Return what opens the same archive again, as after the end of its process."""
+        """Return a function that opens the same archive again, as after the end of its process."""
         raise NotImplementedError
 
     @pytest.fixture
@@ -50,17 +50,17 @@ class ArchiveContract:
 
     @pytest.fixture
     def damage(self) -> Callable[[SetReference, int], None]:
-        """Return what damages the record of a sequence."""
+        """Return a function that corrupts the record of a sequence number."""
         raise NotImplementedError
 
     @pytest.fixture
     def lose(self) -> Callable[[SetReference], None]:
-        """Return what takes a set away."""
+        """Return a function that removes a set."""
         raise NotImplementedError
 
     @pytest.fixture
     def crash_while_storing(self) -> Callable[[SetRecord], None]:
-        """Return what stores a set in a process that ends before the set is complete."""
+        """Return a function that stores a set in a process that ends before the set is complete."""
         raise NotImplementedError
 
     def test_is_an_archive(self, archive, reader):
@@ -219,7 +219,7 @@ class JournalContract(ArchiveContract):
     """Records acknowledged one by one, before their set."""
 
     def begin(self, archive, n_records):
-        """Take in the first records of the set, and what it missed, as a recorder does."""
+        """Store the first records of the set, and its missed shots, as a recorder does."""
         whole = make_set()
         archive.begin_set(
             SET_INDEX,

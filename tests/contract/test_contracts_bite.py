@@ -65,7 +65,7 @@ GIVEN = {
 
 
 def run(contract, test, **fixtures):
-    """Call one test of a contract; only the fixtures it asks for are passed."""
+    """Call one test of a contract with only the fixtures that it requests."""
     function = getattr(contract, test)
     wanted = function.__code__.co_varnames[1 : function.__code__.co_argcount]
     function(contract(), **{name: {**GIVEN, **fixtures}[name] for name in wanted})

@@ -53,7 +53,7 @@ def step(group, nx_class):
 
 
 def check_plot(path):
-    """Walk root@default to NXentry@default to NXdata@signal and @axes; the signal's and the axes' names."""
+    """Follow root@default to NXentry@default to NXdata@signal and @axes; return signal and axes names."""
     with h5py.File(path) as file:
         assert text(file.attrs["NX_class"]) == "NXroot"
         data = step(step(file, "NXentry"), "NXdata")

@@ -47,7 +47,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def consolidated(tmp_path_factory):
-    """One file of two sets."""
+    """Return one file of two sets."""
     folder = tmp_path_factory.mktemp("consolidated")
     archive, blocks = FiledArchive(folder), {}
     for record in (make_set(), other_set(make_set(), SET_INDEX + 1)):

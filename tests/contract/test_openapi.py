@@ -132,7 +132,7 @@ def test_operations_with_parameters_document_their_422(operations):
 
 
 def described(document):
-    """Everything that a reader looks up, with the place to describe it at."""
+    """Yield every item that needs a description, with its location."""
     schemas = document["components"]["schemas"]
     for schema, its in schemas.items():
         for name, description in its.get("properties", {}).items():

@@ -44,7 +44,7 @@ ARGUMENTS = {
 
 @pytest.fixture(scope="module")
 def clients(tmp_path_factory):
-    """One of each role, one with a wrong token, one with a revoked one, one without any."""
+    """Return a client of each role, and clients with a wrong, a revoked and no token."""
     folder = tmp_path_factory.mktemp("data")
     filled = FilledFolder(folder, Settings())
     filled.add_set(0, stored=False)
@@ -65,7 +65,7 @@ def clients(tmp_path_factory):
 
 
 def status(client, method, path, body=None):
-    """Only of the head: streams do not end."""
+    """Return the status from the response head: streams do not end."""
     json_body = {"json": {} if body is None else body} if method == "post" else {}
     with client.stream(method, path, **json_body) as answer:
         return answer.status_code

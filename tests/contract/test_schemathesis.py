@@ -66,7 +66,7 @@ def test_a_short_run_finds_nothing(full, tmp_path):
 
 @contextmanager
 def going_on(folder):
-    """Sets are added all the time, as a recorder does."""
+    """Add sets continuously, as a recorder does."""
     stop = threading.Event()
 
     def record():

@@ -96,7 +96,7 @@ def parameters(
 
 
 def landed(doubles: RunningDoubles) -> None:
-    """Wait for the ball of a record that a spike took: it still falls when the record is read."""
+    """Wait until the ball has landed: it still falls when a record that a spike triggered is read."""
     happened(doubles.control.wait_until_quiet, "the striker landed")
 
 
@@ -126,7 +126,7 @@ def wrong_with(
     shots: int,
     description: Description = DESCRIPTION,
 ) -> tuple[list[str], int]:
-    """Survey each case, take its proposal, shoot; what was lost or mistaken, and how many were shot."""
+    """Survey each case, apply its proposal and shoot; return lost or wrong shots and the number of shots."""
     seen_v = SEEN_V if description.twin.noise.enabled else 0.0
     wrong: list[str] = []
     taken = 0
@@ -220,7 +220,7 @@ def by_library(
 def doctor(
     capsys: pytest.CaptureFixture[str], folder: Path, doubles: RunningDoubles, **changes: Any
 ) -> tuple[int, dict[str, dict[str, Any]], str]:
-    """Exit code, checks by name, and the same report as text; changes are of [rig.daqmx]."""
+    """Return exit code, checks by name, and the same report as text; changes apply to [rig.daqmx]."""
     boards = asdict(parameters_of(DESCRIPTION, doubles, drop_height_m=DROP_M, **changes))
     values = {
         "clock": {"kind": "wall"},

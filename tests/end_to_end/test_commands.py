@@ -52,7 +52,7 @@ def solimon(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @contextmanager
 def started(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A command in the background; whatever a test does, nothing of it outlives the test."""
+    """Run a command in the background; end it with the test."""
     process = subprocess.Popen(
         [*SOLIMON, *arguments],
         env={**os.environ, **QUICK},
@@ -73,7 +73,7 @@ def started(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def line_with(process: subprocess.Popen[str], pattern: str) -> str:
-    """First line of output that matches; fails when the output ends without one."""
+    """Return the first line of output that matches; fail when the output ends without one."""
     assert process.stdout is not None
     seen = []
     for line in process.stdout:
@@ -96,7 +96,7 @@ def is_running(process_id: int) -> bool:
 
 
 def children_of(process_id: int) -> dict[str, int]:
-    """Command (record, serve) to process id."""
+    """Return the process id of each child by command (record, serve)."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -121,7 +121,7 @@ def two_hours(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str,
 
 
 def answers(url: str) -> bool:
-    """Whether there is something to answer with: 503 until the first set is in."""
+    """Return whether the service has data: 503 until the first set is stored."""
     try:
         with urllib.request.urlopen(url, timeout=LIMIT_S):
             return True
@@ -142,7 +142,7 @@ class Demo:
 
 @pytest.fixture(scope="module")
 def demos(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Demo]]:
-    """Give a demo that runs: the one of the test before, or another one where that was ended."""
+    """Yield a running demo: that of the test before, or a new one if that has ended."""
     with ExitStack() as stack:
         last: list[Demo] = []
 

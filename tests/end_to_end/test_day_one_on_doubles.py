@@ -45,7 +45,7 @@ TERMINALS = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there
 
 @contextmanager
 def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
-    """A supply with a resistor at its output, and a driver that is told of neither."""
+    """Run a supply with a resistor at its output, and a driver without their parameters."""
     with SerialRig(folder) as bench:
         load = Cell(counter_voltage_v=0.0, resistance_ohm=resistance_ohm, rise_per_h=0.0)
         bench.instruments.supply_link.do(lambda: setattr(bench.instruments.supply, "cell", load))
@@ -54,7 +54,7 @@ def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
 
 
 def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "tests/hardware") -> None:
-    """Child: `pytest -m hardware` where this environment holds."""
+    """Run `pytest -m hardware` in a child with this environment."""
     for name in [name for name in os.environ if name.startswith("SOLIMON_TEST_")]:
         del os.environ[name]
     os.environ.update(environment)
@@ -84,7 +84,7 @@ def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "test
 def day_one(
     environment: Mapping[str, str], folder: Path, files: str = "tests/hardware"
 ) -> tuple[dict[str, int], str]:
-    """How many tests ended how, and what was printed."""
+    """Return the number of tests by outcome, and the output."""
     ended(in_a_process(run_pytest, environment, folder / "printed.txt", files), "the hardware tests' end")
     printed = (folder / "printed.txt").read_text(encoding="utf-8")
     counts = re.findall(r"(\d+) (passed|failed|skipped|error)", printed.splitlines()[-1])

@@ -29,7 +29,7 @@ SETTINGS = notebooks.example_settings()
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A test past its baseline, so that there are limits."""
+    """Return a test past its baseline, with limits."""
     folder = tmp_path_factory.mktemp("laboratory") / "my-test-data"
     assert run(SETTINGS, folder)
     return folder
@@ -123,7 +123,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exp
 
 
 def kinds_of_alarms() -> set[str]:
-    """Every kind that the code raises: those of the drive by its table, the others by their `Condition`s."""
+    """Return every kind of alarm of the code: of the supply by its table, others by `Condition`."""
     found = set(SEVERITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
         text = path.read_text(encoding="utf-8")

@@ -68,7 +68,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 def configuration(
     folder: Path, doubles: RunningDoubles, description: Description = DESCRIPTION, **changes: Any
 ) -> Path:
-    """A configuration file of a wall-clock test on these doubles; changes are of [rig.daqmx]."""
+    """Write the configuration file of a wall-clock test on these doubles; changes apply to [rig.daqmx]."""
     boards = asdict(replace(parameters_of(description, doubles), **changes))
     values: dict[str, Any] = {
         "clock": {"kind": "wall"},
@@ -89,7 +89,7 @@ def configuration(
 def doctor(
     capsys: pytest.CaptureFixture[str], config: Path, folder: Path, strike: str | None = None
 ) -> tuple[int, dict[str, dict[str, Any]], dict[str, Any]]:
-    """Exit code, checks by name, whole report."""
+    """Return exit code, checks by name, and the complete report."""
     code = run_doctor(config=config, data_dir=folder, strike=strike, as_json=True)
     report = json.loads(capsys.readouterr().out)
     assert report["exit_code"] == code

@@ -44,7 +44,7 @@ KEY = ShotKey(position="C", set_index=0, shot_index=0)
 
 
 def wave_of_the_twin_v() -> FloatArray:
-    """Volts of a sensor on the physics twin, shape (n_samples,), at `RATE_HZ`."""
+    """Return the volts of a sensor on the physics twin, shape (n_samples,), at `RATE_HZ`."""
     transducer = Transducer(chain=CHAIN, model=ShotModel(CHAIN, PLATE, CorrosionParameters()))
     specimen = build_specimen(QUICK_TWIN, transducers={"C": transducer}, probed_thickness_m={})
     acquired = specimen.solitary_wave(KEY, HOUR_H)
@@ -55,7 +55,7 @@ def wave_of_the_twin_v() -> FloatArray:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with both packages, beside which nothing of them is on the path."""
+    """Return a folder with both packages, which are nowhere else on the path."""
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-build-isolation"]
     packages = []

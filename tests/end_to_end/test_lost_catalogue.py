@@ -40,7 +40,7 @@ def machine(monkeypatch):
 
 @pytest.fixture
 def started_folder(machine, tmp_path):
-    """A test in real time, stopped after two sets, and its machine."""
+    """Return the folder of a test in real time, stopped after two sets."""
     stop = threading.Event()
     machine.after(1.2, stop.set)
     assert not run(settings_of(), tmp_path, stop=stop, wall_clock=machine.clock)

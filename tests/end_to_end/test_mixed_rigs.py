@@ -67,7 +67,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 
 
 def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig: Any) -> Settings:
-    """One set of a mixed rig; places name digitizer and striker."""
+    """Return settings of one set of a mixed rig; places name digitizer and striker."""
     served = {name: {"digitizer": one, "striker": other} for name, (one, other) in places.items()}
     return with_defaults(
         Settings(
@@ -86,7 +86,7 @@ def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig
 
 
 def boards(doubles: RunningDoubles, position: str, **ends: str) -> dict[str, Any]:
-    """Table of the boards with one transducer, of which only some ends are wired."""
+    """Return the table of the boards with one transducer that is only partly wired."""
     parameters = parameters_of(DESCRIPTION, doubles)
     wiring = replace(parameters.transducers[position], **ends)
     values: dict[str, Any] = TypeAdapter(DaqmxParameters).dump_python(

@@ -53,7 +53,7 @@ def configuration(running: DemoRig, folder: Path) -> Path:
 
 @contextmanager
 def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) -> Iterator[DemoRig]:
-    """Run a rig whose libraries this very process meets; its double is forked."""
+    """Run a rig whose libraries this process loads; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
         with running_rig(rig, SMALL) as running:
@@ -67,7 +67,7 @@ def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) 
 
 
 def follow(running: DemoRig, folder: Path, notify: Callable[..., None] = lambda event, **_: None) -> bool:
-    """Follow the schedule in this process."""
+    """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
         return record(running.settings, folder, open_rig, stop=threading.Event(), tell=notify)
@@ -130,7 +130,7 @@ INVALID_VALUE = -200077
 
 
 def one_transducer(running: DemoRig, sets: int, **clock: Any) -> DemoRig:
-    """One transducer, a set of one strike every two seconds, and little patience."""
+    """Return one transducer, a set of one strike every two seconds, and short timeouts."""
     values = running.settings.model_dump(mode="json")
     values["clock"] |= clock
     values["schedule"] |= {

@@ -47,7 +47,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 
 
 def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path:
-    """A configuration file of more sets than a baseline needs."""
+    """Write a configuration file of more sets than a baseline needs."""
     boards = asdict(replace(parameters_of(DESCRIPTION, doubles), **changes))
     values: dict[str, Any] = {
         "clock": {"kind": "wall"},
@@ -66,7 +66,7 @@ def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path
 
 
 def looked_at(config: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
-    """Exit code of doctor, and its checks of the rig by name."""
+    """Return the exit code of doctor, and its checks of the rig by name."""
     code = run_doctor(config=config, data_dir=folder, strike=None, as_json=True)
     checks = json.loads(capsys.readouterr().out)["checks"]
     return code, {check["name"]: check for check in checks if check["area"] == "rig"}

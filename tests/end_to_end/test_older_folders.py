@@ -45,7 +45,7 @@ Unpack = Callable[[str], Path]
 
 @pytest.fixture
 def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
-    """Give a copy of the folder that a commit left, to the extractor's version that most of them have.
+    """Return a function that copies the folder of a commit, with the most common extractor version.
 
     Later ones flag more and measure the same: everything else of these folders can be gone on with.
     """
@@ -67,7 +67,7 @@ def settings_of(commit: str, **tables: Any) -> Settings:
 
 
 def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Rows as they stand in the file, whatever its revision."""
+    """Return rows as stored in the file of any revision."""
     database = sqlite3.connect(folder / "catalogue.sqlite")
     database.row_factory = sqlite3.Row
     rows = {
@@ -83,7 +83,7 @@ def digests(folder: Path, pattern: str) -> dict[str, str]:
 
 
 def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
-    """Go on to the end and return the rows; what was there is as it was."""
+    """Continue to the end and return the rows; check that earlier rows are unchanged."""
     before, files = stored_rows(folder), digests(folder, "sets/*.h5")
     assert run(settings_of(commit), folder)
     after = stored_rows(folder)
@@ -96,7 +96,7 @@ def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def leaves(value: Any, *where: Any) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Every number and text of rows, by where it stands."""
+    """Return every number and text of rows by its location."""
     content = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
     if isinstance(content, dict | list | tuple):
         for name, part in content.items() if isinstance(content, dict) else enumerate(content):

@@ -55,7 +55,7 @@ def masked(text: str, folder: Path) -> str:
 
 
 def check(name: str, terminal: PseudoTerminal, folder: Path, *, at_any_time: str = "\0") -> None:
-    """Compare the screen with the kept picture; `SOLIMON_TEST_PICTURES=keep` keeps the new one.
+    """Compare the screen with the stored output; `SOLIMON_TEST_PICTURES=keep` stores the new one.
 
     A line that begins with ``at_any_time`` comes from another process than the others: it is put first.
     """
@@ -82,7 +82,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def recorded(folder: Path) -> Iterator[PseudoTerminal]:
-    """One set by `record`."""
+    """Record one set by `record`."""
     with on_terminal(arguments("record", folder=folder), quick(0.5)) as terminal:
         assert terminal.end() == 0
         yield terminal
@@ -90,7 +90,7 @@ def recorded(folder: Path) -> Iterator[PseudoTerminal]:
 
 @pytest.fixture(scope="module")
 def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
-    """Another one by `run` on the folder beside its configuration; its recorder is killed after that."""
+    """Run another set by `run` in the same folder, then kill its recorder."""
     del recorded
     config = folder.parent / "test.toml"
     config.write_text(f"[storage]\nfolder = '{folder.name}'\n", encoding="utf-8")

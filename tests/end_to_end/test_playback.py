@@ -29,7 +29,7 @@ FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines
 
 
 def small_settings(**tables: Any) -> Settings:
-    """Settings of a probe and two transducers; no confirmation set is asked for but where a test says so."""
+    """Return settings of a probe and two transducers, without confirmation sets by default."""
     alarms = {"hole_shots": 2, "confirmation_sets_a_day": 0} | tables.pop("alarms", {})
     settings = half_a_day(baseline={"hours": 7.5}, alarms=alarms, **tables)
     kept = {name: place for name, place in settings.positions.items() if name != "D"}
@@ -37,14 +37,14 @@ def small_settings(**tables: Any) -> Settings:
 
 
 def played_back(source: Path, end_h: float = END_H, **tables: Any):
-    """Settings of the same test on a recording."""
+    """Return settings of the same test on a recording."""
     playback = {"source": str(source), **tables.pop("playback", {})}
     return small_settings(schedule={"end_h": end_h}, rig={"kind": "playback", "playback": playback}, **tables)
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A short test on the twin, whose last set lies beyond the limit at B."""
+    """Record a short test on the twin; its last set is above the limit at B."""
 
     def disturb(key, acquired):
         if (key.position, key.set_index) != ("B", LAST):
@@ -152,7 +152,7 @@ def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path
 
 
 def labview_copy(recording: Path, folder: Path, *, raw: bool, sets: int = 1000) -> Path:
-    """The recording's first sets as a LabVIEW program would have written them: a file a set."""
+    """Write the first sets of the recording as a LabVIEW program does: a file per set."""
     for set_index, path in list(set_files(recording).items())[:sets]:
         channels = []
         for record in read_set(path).records:

@@ -45,7 +45,7 @@ run = partial(run_experiment, listen_every_s=0.0)
 
 
 def clipped(acquired: Acquired) -> Acquired:
-    """The same strike at a range that is too small for its incident wave."""
+    """Return the same strike at a range that is too small for its incident wave."""
     waveform = acquired.waveform
     low, high = waveform.calibration.full_scale_counts
     counts = np.clip(waveform.counts * (1.1 * high / waveform.counts.max()), low, high)
@@ -53,7 +53,7 @@ def clipped(acquired: Acquired) -> Acquired:
 
 
 def noisy(acquired: Acquired) -> Acquired:
-    """White noise of 0.5 V over an incident wave of some 2.5 V: 14 dB, where a shot is noisy below 17."""
+    """Add white noise of 0.5 V to an incident wave of some 2.5 V: 14 dB, where a shot is noisy below 17."""
     waveform = acquired.waveform
     slope = float(waveform.calibration.coefficients_v[1])
     noise = np.random.default_rng(5).normal(0.0, 0.5 / slope, waveform.counts.size)
@@ -68,13 +68,13 @@ def untouched(key: ShotKey, acquired: Acquired) -> Acquired:
 def first_attempt(
     position: str, set_index: int, shot_index: int, change: Callable[[Acquired], Acquired]
 ) -> Disturb:
-    """Disturb the first strike of one shot; its repetition is as the twin has it."""
+    """Disturb the first strike of one shot, not its repetition."""
     wanted = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
     return lambda key, acquired: change(acquired) if key == wanted else acquired
 
 
 def silent(position: str, from_set: int = 0, until_set: int = 10_000) -> Disturb:
-    """Nothing triggers at one position."""
+    """Disturb a position so that nothing triggers."""
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if key.position == position and from_set <= key.set_index < until_set:
@@ -118,7 +118,7 @@ class OrderingClock:
 def ordering_rig(
     folder: Path, orders: Sequence[Order], disturb: Disturb = untouched, *, late: bool = False
 ) -> RigOpener:
-    """A disturbed twin whose operator gives ``orders``: hour, kind, arguments."""
+    """Return a disturbed twin whose operator gives the commands ``orders``: hour, kind, arguments."""
 
     @contextmanager
     def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
@@ -144,7 +144,7 @@ def alarms_of(folder: Path) -> dict[tuple[str | None, str], AlarmRow]:
 
 
 def answers(folder: Path) -> list[tuple[str, str, str]]:
-    """Kind, state and result of every order."""
+    """Return kind, state and result of every command."""
     with open_catalogue(folder) as catalogue:
         found = []
         while (row := catalogue.command(len(found) + 1)) is not None:
@@ -153,7 +153,7 @@ def answers(folder: Path) -> list[tuple[str, str, str]]:
 
 
 def only(names: str, settings: Settings) -> Settings:
-    """Of these positions: each costs its part of a test's time."""
+    """Return settings of these positions only: each costs test time."""
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in names}})
 
 
@@ -338,7 +338,7 @@ def with_a_silent_one() -> Settings:
 
 @pytest.fixture(scope="module")
 def silent_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a test whose B falls silent, recorded in one go."""
+    """Record a test whose transducer B becomes silent; return its folder."""
     folder = tmp_path_factory.mktemp("silent")
     assert run(with_a_silent_one(), folder, rig=disturbed_rig(SILENT_FROM_SET_1))
     return folder
@@ -563,7 +563,7 @@ def test_sets_cut_short_by_pauses_are_not_counted_against_a_transducer(tmp_path:
 
 
 def lost_during(sets: range, position: str, times: int, error: type[Exception]) -> tuple[Disturb, list]:
-    """Strikes of one position that meet a dead connection, the first ``times`` of each set."""
+    """Let the first ``times`` strikes of a position in each set meet a lost connection."""
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         tried.append(key)

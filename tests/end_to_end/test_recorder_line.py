@@ -43,12 +43,12 @@ SHORT: dict[str, Any] = {
 
 
 def small_settings(**tables: Any) -> Settings:
-    """Settings of a test as short as one with a judged baseline can be; ``tables`` lie over them."""
+    """Return settings of the shortest test with an assessed baseline; ``tables`` override them."""
     return half_a_day(**{name: {**SHORT.get(name, {}), **tables.get(name, {})} for name in {*SHORT, *tables}})
 
 
 def pair_settings(**tables: Any) -> Settings:
-    """With a probe and one transducer: half the time, for what is run again and again."""
+    """Return settings with a probe and one transducer: half the time, for repeated runs."""
     settings = small_settings(**tables)
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
 
@@ -62,7 +62,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Rows of a test of a probe and one transducer that nobody disturbed."""
+    """Return the rows of an undisturbed test of a probe and one transducer."""
     folder = tmp_path_factory.mktemp("pair")
     assert run(pair_settings(), folder)
     return rows_of(folder)

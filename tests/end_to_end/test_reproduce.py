@@ -65,7 +65,7 @@ def made(
 
 
 def with_two_solid_depths(item: Item) -> Item:
-    """A depth of the solid plate takes a second and more: only those that the paper prints."""
+    """Compute only the depths that the paper prints: one depth of the solid plate takes over a second."""
     jobs = {
         name: replace(job, arguments=(*job.arguments[:3], (0.0, 0.8))) if name.startswith("solid") else job
         for name, job in item.jobs.items()
@@ -75,7 +75,7 @@ def with_two_solid_depths(item: Item) -> Item:
 
 @pytest.fixture(scope="module")
 def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFactory):
-    """Everything, from the small test."""
+    """Return everything from the small test."""
     out = tmp_path_factory.mktemp("reproduction") / "out"
     result, finished = made(out, [with_two_solid_depths(item) for item in ITEMS], executor, small)
     assert finished
@@ -84,12 +84,12 @@ def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make figures, and no picture of them: a picture takes a third of a second, and `whole` has them all."""
+    """Write figures without drawing them: one image takes a third of a second, and `whole` draws all."""
     monkeypatch.setattr("daq_service.cli.reproduce.run.rendered", lambda figure: {"png": b"", "svg": b""})
 
 
 def assert_same_as_before(out: Path, result: dict[str, Any], whole: tuple[Path, dict[str, Any]]) -> int:
-    """Compare every file, byte by byte, and every row with the paper; the number of files."""
+    """Compare every file byte by byte and every row with the paper; return the number of files."""
     old, before = whole
     files = [name for item in result["items"].values() for name in item["files"]]
     for name in files:

@@ -37,7 +37,7 @@ def instruments(tmp_path: Path) -> Iterator[SerialInstruments]:
 def settings_with(
     instruments: SerialInstruments, sets: int, *, off_at_end: bool = True, **tables: Mapping[str, Any]
 ) -> Settings:
-    """A set a second on the twin, with the real supply's driver beside it."""
+    """Return settings of a set per second on the twin, with the driver of the real supply."""
     line = {"reply_timeout_s": 60.0}  # the doubles answer at once, on a busy machine later
     return small_settings(
         clock={"kind": "wall"},
@@ -73,7 +73,7 @@ def run(
     stop_after: int | None = None,
     clock: SteppedClock | None = None,
 ) -> bool:
-    """Record to the end; after the n-th set an order is given or something is done to the instruments."""
+    """Record to the end; after the n-th set give a command or disturb the instruments."""
     prepare_data_folder(folder)
 
     def notify(event: str, **values: Any) -> None:

@@ -66,7 +66,7 @@ def line_of(instruments: SerialInstruments, reply_timeout_s: float = 5.0) -> dic
 def settings_of(
     instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int, **supply: Any
 ) -> Settings:
-    """A set a second on the twin, beside the supply."""
+    """Return settings of a set per second on the twin, with the supply."""
     return small_settings(
         clock={"kind": "wall"},
         schedule={
@@ -90,7 +90,7 @@ def settings_of(
 
 
 def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> Settings:
-    """Instruments of another package at B, and a supply that speaks text as the drive of a mixed rig."""
+    """Return instruments of another package at B, and a text supply of a mixed rig."""
     plain = settings_of(instruments, unwatched_s=unwatched_s, off_at_end=True, sets=600)
     return with_defaults(
         Settings(
@@ -114,7 +114,7 @@ def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> 
 
 @contextmanager
 def without_supply(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    """The twin; the supply belongs to another process."""
+    """Open the twin without the supply, which belongs to another process."""
     rig = settings.rig.model_copy(update={"supply": None})
     with open_rig(settings.model_copy(update={"rig": rig}), clock, epoch_utc_ns) as opened:
         yield opened
@@ -150,7 +150,7 @@ class Test:
         stop: threading.Event | None = None,
         wall_clock: Callable[[], Clock] | None = None,
     ) -> bool:
-        """Record to the end; something is done after the n-th set."""
+        """Record to the end; act after the n-th set."""
         prepare_data_folder(self.folder)
 
         def notify(event: str, **values: Any) -> None:
@@ -173,7 +173,7 @@ class Test:
 
     @contextmanager
     def recording(self, settings: Settings) -> Iterator[None]:
-        """Record in real time beside the test, until it stops that."""
+        """Record in real time next to the test, until the test stops it."""
         stop = threading.Event()
         settings = settings.model_copy(
             update={"schedule": settings.schedule.model_copy(update={"end_h": 600.0 * SECOND_H})}
@@ -190,7 +190,7 @@ class Test:
             ended(recorder, "the stop")
 
     def run_switched_on(self, settings: Settings) -> None:
-        """Record in real time until a person has switched the supply on and its charge is stored."""
+        """Record in real time until an operator has switched the supply on and its charge is stored."""
         with self.recording(settings):
             until(self.has_started, "the recorder")
             self.order("supply_on")
@@ -205,7 +205,7 @@ class Test:
             return {row.kind: row for row in catalogue.rows(AlarmRow)}
 
     def has_started(self) -> bool:
-        """The recorder listens: it has told of a first set."""
+        """Return whether the recorder has reported a first set."""
         try:
             with open_catalogue(self.folder) as catalogue:
                 return bool(catalogue.rows(SetRow, limit=1))
@@ -225,14 +225,14 @@ class Test:
         return [row.state for row in rows if row is not None]
 
     def drive(self) -> int:
-        """Process number of the drive that runs."""
+        """Return the id of the running supply process."""
         return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
     def drive_has_left(self) -> bool:
         return is_owned(self.folder, DRIVE_LOCK) is False
 
     def is_switched_off_unwatched(self) -> None:
-        """Wait for it, and look at what is told meanwhile."""
+        """Wait for the switch-off and check the status meanwhile."""
         until(lambda: not self.instruments.supply.on, "the unwatched supply is off")
         until(self.drive_has_left, "the process of the drive has left")
         assert self.switchings() == [True, False]
@@ -361,7 +361,7 @@ def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_of
 
 @contextmanager
 def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
-    """``solimon record`` or ``run`` on the test's folder, until a person's order has switched it on."""
+    """Run ``solimon record`` or ``run`` on the folder until an operator has switched the supply on."""
     prepare_data_folder(test.folder)
     config = write_configuration(settings, test.folder)
     command = [sys.executable, "-m", "daq_service.cli", word, str(config), "--data-dir", str(test.folder)]
@@ -406,7 +406,7 @@ def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(
 
 @pytest.fixture
 def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another package's instruments, for this process and those that it starts."""
+    """Offer the instruments of another package to this process and its children."""
     offer(monkeypatch, tmp_path / "site", OFFERED)
     paths = [str(tmp_path / "site"), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
@@ -471,7 +471,7 @@ def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: 
 
 @contextmanager
 def energised(test: Test, **supply: Any) -> Iterator[None]:
-    """A recorder in real time whose supply a person has switched on."""
+    """Yield a recorder in real time whose supply an operator has switched on."""
     with test.recording(test.settings(**supply)):
         until(test.has_started, "the recorder")
         test.order("supply_on")

@@ -37,7 +37,7 @@ def started(*arguments: str) -> subprocess.Popen[str]:
 
 
 def read_until(process: subprocess.Popen[str], pattern: str) -> str:
-    """First group of the first line that matches."""
+    """Return the first group of the first line that matches."""
     assert process.stderr is not None
     seen = []
     for line in process.stderr:
@@ -53,7 +53,7 @@ def simulate(*arguments: str) -> Result:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Table of an undisturbed sweep, computed in one thread."""
+    """Return the table of an undisturbed sweep, computed in one thread."""
     path = tmp_path_factory.mktemp("whole") / "table.csv"
     done = simulate(*SLOW, "--workers", "1", "--out", str(path))
     assert done.exit_code == 0, done.output

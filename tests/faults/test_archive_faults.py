@@ -85,7 +85,7 @@ class Disk:
 
 
 def journaled(folder):
-    """Store a set; return what makes its file, as the recorder's worker does."""
+    """Store a set; return a function that writes its file, as the worker of the recorder does."""
     with closing(FolderArchive(folder)) as archive:
         archive.store_set(make_set())
     return lambda: compact_set(folder, SET_INDEX)[0]
@@ -199,7 +199,7 @@ class RecordingDisk(Disk):
 
 
 def states_after_power_loss(log, folder):
-    """Every content of the folder that a disk may show after a power cut at the end of ``log``.
+    """Return every content of the folder that a power cut at the end of ``log`` may leave.
 
     What was not synced survives not at all, as a torn prefix, or whole; a name that was not synced
     is there or not.

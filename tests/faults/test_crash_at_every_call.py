@@ -53,7 +53,7 @@ QUICK = ("wall", "kept open", "replaced", "replaced and synced")
 
 @pytest.fixture(scope="module")
 def fast():
-    """A folder in memory, where there is one: thousands of states are laid out and synced."""
+    """Return a folder in memory if there is one: thousands of states are written and synced."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder)
@@ -66,7 +66,7 @@ def library(fast):
 
 @pytest.fixture(scope="module")
 def trace_of(fast, library):
-    """Return a design's folder and calls; those of the default run are recorded by one process."""
+    """Return the folder and calls of a design; one process records those of the default run."""
 
     def get(design):
         if not (fast / design).exists():
@@ -156,7 +156,7 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
 
 
 def solimon_record(folder, **environment):
-    """Run ``solimon record`` as a person does; what it says on standard output goes to a file."""
+    """Run ``solimon record`` from the command line; write its standard output to a file."""
     config = folder / "test.json"
     config.write_text(
         json.dumps({**SMALL, "schedule": {**SMALL["schedule"], "end_h": 6.0}}), encoding="utf-8"
@@ -190,7 +190,7 @@ def test_sixty_states_by_the_command(fast, library, capsys):
 
 
 def _seen_from_the_data(call):
-    """A call as of the data folder; a line on standard output is a promise."""
+    """Return a call relative to the data folder; a line on standard output is an acknowledgement."""
     if call.path == "said" and call.kind == "w":
         messages = (json.loads(line) for line in call.content.splitlines())
         return [Call(kind=MARK, path="", number=line["shot_id"]) for line in messages if "shot_id" in line]
@@ -202,7 +202,7 @@ def _seen_from_the_data(call):
 
 
 def durable(folder):
-    """Ids of the shots that files and journal hold."""
+    """Return the ids of the shots in files and journal."""
     reader = FolderSetReader(folder)
     stored = {item.sequence for file in reader.sets().values() for item in reader.read_set(file).records}
     return stored | {sequence for item in read_journal(folder).values() for sequence in item.shots}

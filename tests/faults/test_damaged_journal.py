@@ -62,7 +62,7 @@ def newest_segment(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What becomes of the test that nothing damages."""
+    """Return the result of the undamaged test."""
     folder = tmp_path_factory.mktemp("whole") / "test"
     record(short_settings(), folder)
     return outcome(folder, "wall")
@@ -82,7 +82,7 @@ def flip(place):
 
 
 def zeroed(content, found):
-    """Lose a page of 512 bytes in the midst of what was acknowledged."""
+    """Overwrite a page of 512 bytes among the acknowledged records with zeros."""
     start = found[2].start + 100
     content[start : start + 512] = bytes(512)
 

@@ -476,7 +476,7 @@ def test_a_coil_that_cannot_be_switched_off_is_reported_and_ends_by_itself(monke
 
 
 def arm_until_free(rig):
-    """Arm again: the driver waits until the striker has landed and climbs past the refused tasks."""
+    """Arm again: the driver waits until the striker has landed and retries refused tasks."""
     for _ in range(len(LADDER)):
         try:
             rig.digitizer.arm(key(1))
@@ -651,7 +651,7 @@ def test_only_the_tasks_of_a_killed_recorder_are_cleared(doubles, remote):
 
 
 def arm_and_wait(parameters, started):
-    """Child: leave an armed digitizer behind."""
+    """Leave an armed digitizer behind, in a child."""
     with open_daqmx(parameters) as rig:
         rig.digitizer.arm(key(0))
         started.set()
@@ -723,7 +723,7 @@ def test_a_driver_that_is_not_installed_is_reported_with_a_remedy():
 
 
 def open_without_driver(sender):
-    """Child: no library anywhere."""
+    """Open the boards without any library, in a child."""
     parameters = parameters_of(DESCRIPTION, None)
     try:
         open_daqmx(parameters).__enter__()

@@ -34,7 +34,7 @@ def life(tmp_path_factory: pytest.TempPathFactory) -> Line:
 
 
 def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
-    """Contents with one bit changed, nine of ten; the others cut short. Zeros, mostly free space, stay."""
+    """Yield contents with one bit changed, nine of ten; others truncated. Zeros, mostly free space, stay."""
     nonzero = [place for place, byte in enumerate(content) if byte]
     chosen = random.Random(seed)
     for count in range(number):
@@ -46,7 +46,7 @@ def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
 
 
 def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None]:
-    """Rows of every kind; None: that there is damage was told."""
+    """Return rows of every kind, or None where corruption is reported."""
     found: dict[type[Row], list[Any] | None] = dict.fromkeys(KINDS)
     try:
         with open_catalogue(folder, writer=True) if writer else open_catalogue(folder) as catalogue:
@@ -61,7 +61,7 @@ def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None
 
 
 def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str, Any]]:
-    """Rows that stand otherwise in a damaged file, by whatever still reads it, and are not named."""
+    """Return rows of a corrupt file that differ and are not reported as corrupt."""
     path = folder / FILE_NAME
     path.write_bytes(content)  # a start may have mended what lay beside
     named = {(damage.table, damage.row_id) for damage in catalogue_corruption(folder)}

@@ -81,7 +81,7 @@ def start(program, *arguments):
 
 
 def end(process, *, killed):
-    """Whole lines that it had left to say."""
+    """Return the complete lines of the remaining output."""
     if killed:
         process.kill()
     output, errors = process.communicate()
@@ -91,7 +91,7 @@ def end(process, *, killed):
 
 
 def a_moment_more(process, seconds):
-    """Let it work on: nothing but its end could come earlier, and it does not end by itself."""
+    """Let the process work on; it does not end by itself."""
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=seconds)
 
@@ -102,7 +102,7 @@ def keeping_digest(number):
 
 
 def age(folder):
-    """As if nobody had looked at the folder for long."""
+    """Make the folder look unused for a long time."""
     for path in folder.iterdir():
         when = time.time() - 2.0 * STALE_S
         os.utime(path, (when, when))

@@ -31,7 +31,7 @@ def test_each_kind_that_only_stores_is_checked():
 
 @pytest.fixture(scope="module")
 def fast():
-    """A folder in memory, where there is one: hundreds of states are laid out and synced."""
+    """Return a folder in memory if there is one: hundreds of states are written and synced."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder)
@@ -39,7 +39,7 @@ def fast():
 
 @pytest.fixture(scope="module")
 def calls(fast):
-    """Every call on the disk while each kind is given and carried out, and marks of what was answered."""
+    """Return every disk call while each kind of command is given and executed, with marks of the answers."""
     folder, trace = fast / "data", fast / "trace"
     folder.mkdir()
     here = Path(__file__).parents[1]
@@ -104,7 +104,7 @@ class Processes:
         self._running: dict[str, subprocess.Popen[str]] = {}
 
     def start(self) -> None:
-        """Start what is not running; wait until the service listens."""
+        """Start missing processes; wait until the service listens."""
         words = {
             "recorder": ["record", *self._common, "--linger"],
             "web": ["serve", *self._common, "--port", "0"],
@@ -132,7 +132,7 @@ class Processes:
             ended(self._running[name], "the kill")
 
     def stop(self) -> None:
-        """Let the recorder answer what is open, and end."""
+        """Let the recorder answer open commands and end."""
         for process in reversed(self._running.values()):
             process.terminate()
             ended(process, "the end")
@@ -158,7 +158,7 @@ class Client(threading.Thread):
                 self.stop.wait(0.05)  # nobody listens there now
 
     def _order(self, step: int):
-        """The next one of a round in which each is possible after those before it."""
+        """Send the next command of a round in which each is possible after those before it."""
         if 3 <= step < 8:
             return alarm_orders(self._newest("alarms?position=C&kind=retired&active=true"))[step - 3]
         return {

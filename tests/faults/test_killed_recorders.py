@@ -27,12 +27,12 @@ PACE_H_PER_S = 2.0
 
 
 def schedule_for(kills):
-    """Two sets for each kill."""
+    """Return a schedule of two sets for each kill."""
     return {**SMALL["schedule"], "phases": [{"until_h": 1.0 * kills, "interval_h": 0.5}]}
 
 
 def supervise(config, folder, acknowledged):
-    """Child: what ``solimon run`` does; each acknowledged shot is told at once, the end with a None."""
+    """Run the supervisor of ``solimon run`` in a child; send each acknowledged shot, None at the end."""
     prepare_data_folder(folder)
     (plan,) = child_plans(config, folder, port=None, web=False, linger=False)
     plan = replace(plan, arguments=[*plan.arguments, "--log-json"])
@@ -49,7 +49,7 @@ def supervise(config, folder, acknowledged):
 
 
 def another_owner(folder, before):
-    """Process of the recorder that runs on a folder; None while there is none but the one before."""
+    """Return the process id of the recorder on a folder; None if there is no other than ``before``."""
     owner = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
     return int(owner[1]) if owner and int(owner[1]) != before else None
 

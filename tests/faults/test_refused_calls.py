@@ -49,7 +49,7 @@ SOME = [
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """Return what becomes of each case; one program forks all of them."""
+    """Return the outcome of each case; one program forks all of them."""
     library = build(tmp_path_factory.mktemp("library"))
 
     def follow(cases, folder):
@@ -71,7 +71,7 @@ def followed(tmp_path_factory):
 
 
 def wrong(outcome):
-    """Everything that a refusal may not cost; empty: nothing."""
+    """Return every loss that a refusal may not cause; empty if there is none."""
     if "fault" in outcome:
         return outcome["fault"]
     checks = {

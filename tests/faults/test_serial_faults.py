@@ -40,7 +40,7 @@ def rig(tmp_path):
 
 @pytest.fixture
 def energised(rig):
-    """A rig whose supply was switched on by order; no fault may add another switching on."""
+    """Return a rig whose supply was switched on by command; no fault may switch it on again."""
     rig.supply.energise(10.0, 1.0)
     yield rig
     on = [cause for on, cause in rig.switched() if on]

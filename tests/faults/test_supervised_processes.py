@@ -41,7 +41,7 @@ def supervise(
     stay: bool = False,
     **times: float,
 ) -> tuple[int, list[Any]]:
-    """Run one child whose program is ``script``; exit code and the messages of the child but its beats."""
+    """Run one child whose program is ``script``; return exit code and messages without heartbeats."""
     program = folder / "child.py"
     program.write_text(f"{PRELUDE}{script}\ntell('ends', code=0)\n", encoding="utf-8")
     messages: list[Any] = []

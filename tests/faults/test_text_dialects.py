@@ -44,14 +44,14 @@ def rig(pair, tmp_path):
 
 @pytest.fixture
 def energised(rig):
-    """A rig whose supply was switched on by order; nothing else may switch it on."""
+    """Return a rig whose supply was switched on by command; nothing else may switch it on."""
     rig.supply.energise(10.0, 1.0)
     yield rig
     assert [cause for on, cause in rig.switched() if on] == ["command"]
 
 
 def read_again(rig):
-    """The reading after a loss: a resource that hung up in silence is opened anew after some attempts."""
+    """Read after a loss: a resource that was closed silently is reopened after some attempts."""
     for _ in range(ATTEMPTS_PER_OPENING + 1):
         if rig.supply_is_read():
             return rig.supply.read(READ_TIMEOUT_S)

@@ -22,7 +22,7 @@ TIMEOUT_S = 120.0
 
 
 def settings_with(**clock):
-    """Transducers on infinite plates, which need no reduction."""
+    """Return settings of transducers on infinite plates, which need no reduction."""
     plain = Settings().model_dump()
     for place in plain["positions"].values():
         place["plate"]["model"] = "infinite_kirchhoff"

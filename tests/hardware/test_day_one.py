@@ -113,7 +113,7 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
 
 
 def one_shot(parameters: DaqmxParameters, position: str) -> Waveform:
-    """Record of one strike, through the driver's own instruments: arm, strike, read."""
+    """Return the record of one strike through the driver's own instruments: arm, strike, read."""
     key = ShotKey(position=position, set_index=0, shot_index=0)
     with open_daqmx(parameters) as rig:
         rig.digitizer.arm(key)
@@ -138,7 +138,7 @@ def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: Daqmx
 
 
 def high_s(waveform: Waveform) -> float:
-    """Time the line is high in a record that has one pulse."""
+    """Return how long the line is high in a record with one pulse."""
     high = np.flatnonzero(waveform.volts() > TTL_HIGH_V)
     assert high.size, "the line never went high"
     assert high[-1] - high[0] + 1 == high.size, "one pulse without a gap"

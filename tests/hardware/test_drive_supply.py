@@ -42,18 +42,18 @@ class Load:
 
     @property
     def voltage_v(self) -> float:
-        """Voltage of the drive, or less where the resistor would become warm."""
+        """Return the voltage of the supply, reduced where the resistor would become warm."""
         return min(self.parameters.voltage_v, math.sqrt(MOST_W * self.resistance_ohm))
 
     @property
     def current_a(self) -> float:
-        """Current at that voltage."""
+        """Return the current at that voltage."""
         return self.voltage_v / self.resistance_ohm
 
 
 @pytest.fixture
 def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
-    """The supply, found off and left off."""
+    """Yield the supply; check that it is off before and after."""
     opened = ScpiPowerSupply(supply_parameters, stamp=stamp_now)
     try:
         if opened.read(supply_parameters.read_timeout_s).output_on:
@@ -70,7 +70,7 @@ def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
 
 @pytest.fixture
 def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
-    """What the resistor takes, as far as the configuration's caps let it."""
+    """Return the current of the resistor, limited by the caps of the configuration."""
     its = Load(resistance_ohm=load_ohm, parameters=supply_parameters)
     if 2.0 * its.current_a > supply_parameters.current_cap_a:
         pytest.fail(
@@ -81,7 +81,7 @@ def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
 
 @contextmanager
 def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float) -> Iterator[SupplyReading]:
-    """On within this block only."""
+    """Switch the output on within this block only."""
     try:
         supply.energise(voltage_v, current_limit_a)
         yield supply.read(READ_TIMEOUT_S)
@@ -90,7 +90,7 @@ def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float)
 
 
 def is_off(supply: ScpiPowerSupply) -> bool:
-    """Whether the output reads back as off, by both questions."""
+    """Return whether both queries read the output back as off."""
     reading = supply.read(READ_TIMEOUT_S)
     state = supply.read_back(READ_TIMEOUT_S)
     return not reading.output_on and state["output"] == "off"

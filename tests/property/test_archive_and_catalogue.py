@@ -105,7 +105,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule()
     def reopen(self):
-        """Come back after the end of the process."""
+        """Reopen after the end of the process."""
         if self.catalogue is not None:
             self.catalogue.close()
             self.archive.close()
@@ -114,7 +114,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule(index=sets)
     def store(self, index):
-        """Store a set; its rows never come if the process ends now."""
+        """Store a set; its rows are never written if the process ends now."""
         stored = self.archive.store_set(RECORDS[index])
         expected = MemoryArchive().store_set(RECORDS[index])
         assert (stored.file, stored.crc32) == (expected.file, expected.crc32)
@@ -127,7 +127,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule(index=sets, call=st.sampled_from(["os.open", "os.fsync", "os.replace", "sync_folder"]))
     def crash_while_storing(self, index, call):
-        """End the process before a call: the set is there as a whole, though not acknowledged, or absent."""
+        """End the process before a call: the set is complete, though not acknowledged, or absent."""
         assume(index not in self.stored)  # a repeated store makes no file
         killed = mock.patch.object(shared_file, call.removeprefix("os."), side_effect=Killed)
         if call.startswith("os."):
@@ -150,20 +150,20 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
     @precondition(lambda self: self.stored)
     @rule(data=st.data())
     def fail_to_commit(self, data):
-        """Whatever part of a commit is refused, none of it is stored."""
+        """Check that a commit is not stored if any part of it is refused."""
         index = data.draw(st.sampled_from(sorted(self.stored)))
         with pytest.raises(CatalogueError):
             self.catalogue.commit_set(replace(commit_of(RECORDS[index], self.stored[index]), **impossible()))
 
     @rule()
     def add_event(self):
-        """Something that belongs to no set."""
+        """Add an event that belongs to no set."""
         added_id = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
         self.events.append((added_id, "told", None))
 
     @rule()
     def adopt(self):
-        """Make the rows of every set that has none, as a recorder does that starts again."""
+        """Write the rows of every set that has none, as a restarted recorder does."""
         done = self.catalogue.committed_sets()
         for index, file in self.archive.sets().items():
             if index not in done:
@@ -195,7 +195,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @invariant()
     def rows_and_files_belong_together(self):
-        """In the order of the commits, for the recorder and for whoever reads beside it."""
+        """Check the order of the commits for the recorder and for a concurrent reader."""
         for catalogue in (self.catalogue, self.reading):
             rows = catalogue.rows(SetRow)
             per_set = len(RECORDS[SET_INDEX].positions)
@@ -222,7 +222,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
             ]
 
     def teardown(self):
-        """Everything that was acknowledged is there to the last bit, and its rows name the same counts."""
+        """Check that every acknowledged record is complete and its rows name the same counts."""
         with self.cleaning:
             for index, file in self.stored.items():
                 assert bits(self.reader.read_set(file)) == BITS[index]

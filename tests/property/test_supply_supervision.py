@@ -20,7 +20,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.corrosion_drive import kept, remote
+from daq_service.corrosion_drive import remote, supply_state
 from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
@@ -175,9 +175,9 @@ class Supervision(RuleBasedStateMachine):
         self.folder = Path(tempfile.mkdtemp())
         self.world = World(self.folder)
         self.patch = pytest.MonkeyPatch()
-        for module in (kept, remote):
+        for module in (supply_state, remote):
             self.patch.setattr(module, "elapsed_ns", self.world.clock.mono_ns)
-        self.patch.setattr(kept, "write_durably", self._write)
+        self.patch.setattr(supply_state, "write_durably", self._write)
         logging.disable(logging.CRITICAL)
         self.supervisor: DriveGuard | None = None
         self.guarding: RemoteDrive | None = None
@@ -238,7 +238,7 @@ class Supervision(RuleBasedStateMachine):
             assert not (process.commanded and silent_s > limit_s), f"unwatched for {silent_s:g} s"
 
     def _can_reach(self) -> bool:
-        """Somebody runs who knows this supply's port: not the successor of another one."""
+        """Return whether a running process knows the port of this supply."""
         parameters = [one.drive._parameters for one in self.world.processes if not one.stalled]
         parameters += [] if self.recorder is None else [self.recorder._parameters]
         parameters += [] if self.guarding is None else [self.guarding._parameters]
@@ -346,7 +346,7 @@ class Supervision(RuleBasedStateMachine):
 
     @rule()
     def change_supervisor(self) -> None:
-        """Start it, or kill it."""
+        """Start or kill the supervisor."""
         if self.guarding is not None:
             self.guarding._disconnect("killed")
             self.supervisor = self.guarding = None

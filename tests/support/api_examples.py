@@ -39,7 +39,7 @@ BY_HAND: dict[str, tuple[str, Any]] = {
 
 
 def shortened(value: Any) -> Any:
-    """Lists are cut to their first entries, and no token is told."""
+    """Cut lists to their first entries and hide tokens."""
     if isinstance(value, list):
         return [shortened(part) for part in value[:LONGEST_LIST]]
     if isinstance(value, dict):
@@ -48,7 +48,7 @@ def shortened(value: Any) -> Any:
 
 
 def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any]) -> dict[str, Any] | None:
-    """Ask for one; None where the answer is no JSON."""
+    """Request one example; return None where the answer is not JSON."""
     name = operation["operationId"]
     if name in BY_HAND:
         return {"status": "200", "answer": BY_HAND[name][1], "media_type": BY_HAND[name][0]}
@@ -74,7 +74,7 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
 
 
 def write_examples(folder: Path, *, renew: bool) -> None:
-    """Serve an invented test, ask everything once, and write what came.
+    """Serve an invented test, request everything once, and write the answers.
 
     Parameters
     ----------

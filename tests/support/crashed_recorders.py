@@ -83,7 +83,7 @@ class LongerRecords(ScriptedInstruments):
 
 
 def features_by_key(shot: Shot) -> Any:
-    """Features of a healthy wall, but at B in the last set and what is struck after it."""
+    """Return features of a healthy wall, changed at B in the last set and its confirmations."""
     planned, _ = in_order(shot.key.set_index)
     return healthy(shot.key, 1.0 if (shot.key.position, planned) == ("B", SETS - 1) else 0.0)
 
@@ -161,7 +161,7 @@ class Outcome:
 
 
 def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
-    """Of each table the rows that a repeated test must repeat; in real time without their times."""
+    """Return the rows of each table that a repeated test must repeat; in real time without their times."""
     rows: dict[str, list[Any]] = {}
     with open_catalogue(folder) as catalogue:
         for name, table in TABLES.items():
@@ -179,7 +179,7 @@ def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
 
 
 def outcome(folder: Path, kind: str) -> Outcome:
-    """Read it from catalogue and files."""
+    """Read the result from catalogue and files."""
     rows = rows_of(folder, kind)
     counts = {
         sequence: content
@@ -191,7 +191,7 @@ def outcome(folder: Path, kind: str) -> Outcome:
 
 
 def purpose_of_all(table: type[Row]) -> Filters:
-    """Ask for sets of the plan and beside it, where the table has sets."""
+    """Select scheduled and unscheduled sets, where the table has sets."""
     return {"purpose": "any"} if table in (SetRow, ShotRow, FeatureRow, ThicknessRow, AssessmentRow) else {}
 
 
@@ -199,7 +199,7 @@ _READ: dict[bytes, dict[int, bytes]] = {}
 
 
 def _counts(path: Path, content: bytes) -> dict[int, bytes]:
-    """Counts of each shot of a file, checked; the same bytes are read once."""
+    """Return checked counts of each shot of a file; the same bytes are read once."""
     if content not in _READ:
         reader, reference = FolderSetReader(path.parent), SetReference(path.name)
         assert (damages := reader.verify_set(reference)) == [], "; ".join(map(str, damages))
@@ -218,7 +218,7 @@ def faults_after_crash(
     with_holes: bool = False,
     lost_pages: bool = False,
 ) -> list[str]:
-    """Start a recorder on what a crash left, twice, and say everything that is wrong; nothing is right.
+    """Start a recorder twice on what a crash left; return every fault found.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def _sync(path: Path) -> None:
 
 
 def lost_of_kept_open(folder: Path, acknowledged: Sequence[int]) -> list[int]:
-    """Acknowledged shots that a reader of the file does not find."""
+    """Return acknowledged shots that a reader of the file does not find."""
     try:
         with h5py.File(folder / "open.h5", "r") as file:
             return [
@@ -400,7 +400,7 @@ def replaced(folder: Path, acknowledge: Callable[[int], None], *, synced: bool =
 
 
 def lost_of_replaced(folder: Path, acknowledged: Sequence[int]) -> list[int]:
-    """Acknowledged numbers that are not in the file."""
+    """Return acknowledged numbers that are not in the file."""
     path = folder / "shots"
     content = path.read_bytes() if path.exists() else b""
     found = np.frombuffer(content[: len(content) // 8 * 8], dtype="<i8").tolist()

@@ -51,12 +51,12 @@ PULSE_ECHO = Scene(
 
 
 def depth(position: str, hour: float) -> float:
-    """Lost part of the wall: B and C thin, D stays."""
+    """Return the wall loss fraction: B and C become thinner, D stays."""
     return {"B": 0.7, "C": 0.55}.get(position, 0.0) * max(0.0, hour - 40.0) / 310.0
 
 
 def frozen_baseline(position: str, **columns: object) -> BaselineRow:
-    """Row of a baseline as the recorder freezes one."""
+    """Return the row of a baseline as the recorder freezes it."""
     p = len(FEATURE_NAMES)
     row = BaselineRow(
         name=f"{position}-baseline-1",
@@ -158,7 +158,7 @@ class FilledFolder:
     def add_set(
         self, index: int, *, stored: bool = True, shown: bool = False, assessed: bool = True
     ) -> list[int]:
-        """One set of all positions; returns its events' ids."""
+        """Add one set of all positions; return the ids of its events."""
         due = self.due[index]
         commit = SetCommit()
         records = self._records(due)
@@ -255,7 +255,7 @@ class FilledFolder:
     def add_confirmation(
         self, position: str, planned_set: int, authors: tuple[str, ...] = ("",), file: str | None = None
     ) -> int:
-        """A set beside the plan, a minute after a planned one, that confirms it; returns its index.
+        """Add an unscheduled set, a minute after a scheduled one, that confirms it; return its index.
 
         ``authors`` asked for it, of which "" is suspicion.
         """
@@ -333,7 +333,7 @@ class FilledFolder:
         return self.catalogue.commit_set(commit).alarm_ids[0]
 
     def add_environment(self, index: int) -> None:
-        """Supply and climate around a set: 10 V and 5 mA, the probe a little late and without humidity."""
+        """Add supply and climate around a set: 10 V, 5 mA, a late climate reading without humidity."""
         due = self.due[index]
         row = EnvironmentRow(
             set_index=index,
@@ -368,7 +368,7 @@ class FilledFolder:
     def annotate(
         self, from_h: float, text: str, *, to_h: float | None = None, position: str | None = None
     ) -> int:
-        """Note something, as the recorder does."""
+        """Add a note, as the recorder does."""
         row = AnnotationRow(
             position=position,
             from_h=from_h,
@@ -383,13 +383,13 @@ class FilledFolder:
         return self.catalogue.commit_set(transaction).annotation_ids[0]
 
     def show(self, records, hour: float) -> None:
-        """Replace the live pictures, as often as a test wants."""
+        """Replace the live waveforms."""
         for record in records:
             found = extract_features(record.waveform) if isinstance(record, Shot) else None
             self.live.show(record, due_h=hour, features=found)
 
     def retire(self, position: str, index: int) -> None:
-        """Retire a transducer: its alarm, and the row of a planned set that it did not take."""
+        """Disable a transducer: add its alarm, and the row of a scheduled set that it missed."""
         self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
         due, method = self.due[index], self.settings.positions[position].method
         row = SetRow(
@@ -413,7 +413,7 @@ class FilledFolder:
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
     def reinstate(self, position: str) -> None:
-        """Reset the alarm that retired a transducer, as the recorder does."""
+        """Reset the alarm that disabled a transducer, as the recorder does."""
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "retired"]
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
@@ -430,20 +430,20 @@ class FilledFolder:
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 
     def shelve(self, alarm_id: int, reason: str, *, for_h: float) -> None:
-        """Shelve an alarm, as the recorder does, from when it was raised and from now on."""
+        """Shelve an alarm, as the recorder does, once when raised and once at the present time."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         self._change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
-        """Carry out an order as the recorder does."""
+        """Execute an acknowledgement as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         self._change(acknowledge(row, command.author, command.arguments["note"], moment), moment)
         self.catalogue.finish_command(command.id, "done", "acknowledged")
 
     def records(self, index: int):
-        """The records of a set, the same at every call."""
+        """Return the records of a set, the same at every call."""
         return self._records(self.due[index])
 
     def show_set(self, index: int) -> None:

@@ -34,7 +34,7 @@ def _swept(executor: str) -> str:
 
 
 def main(folder: Path) -> dict[str, Any]:
-    """Carry it out."""
+    """Run sweeps and replays on a local cluster; print the results as JSON."""
     line = drifting_wall(folder)
     with LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR

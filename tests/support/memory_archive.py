@@ -69,10 +69,10 @@ class MemoryArchive:
         self._open_sets[taken.key.set_index] = replace(open_set, last_utc_ns=last_utc_ns, **added)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is held."""
 
     def digest(self, reference: SetReference) -> None:
-        """Nothing has a file."""
+        """Return no digest: there are no files."""
 
     def sync(self) -> list[int]:
         before = {item.sequence for open_set in self.shelf.open.values() for item in open_set.records}
@@ -87,7 +87,7 @@ class MemoryArchive:
         self._open_sets[opened.set_index] = opened
 
     def places(self, set_index: int) -> Places:
-        """Memory has no segments."""
+        """Return no byte ranges: memory has no segments."""
         return {}
 
     def settle(self, set_index: int) -> None:
@@ -168,7 +168,7 @@ class MemoryArchive:
 
 
 def bits(value: Any) -> Any:
-    """Everything of a record as plain values that are equal if every bit is."""
+    """Return a record as plain values that are equal if every bit is."""
     if is_dataclass(value):
         return (type(value).__name__, *(bits(getattr(value, item.name)) for item in fields(value)))
     if isinstance(value, np.ndarray):

@@ -28,13 +28,13 @@ DPI = 50
 
 
 def example_settings() -> Any:
-    """Settings of the test that the example shows."""
+    """Return settings of the test that the example shows."""
     # The smallest baseline that gives a limit, and two sets behind it.
     return small_settings(schedule={"end_h": 8.5}, baseline={"hours": 7.5})
 
 
 def executed(notebook: Mapping[str, Any], names: dict[str, Any]) -> dict[str, Any]:
-    """Carry out every cell in ``names`` and return the notebook with its outputs."""
+    """Execute every cell in ``names`` and return the notebook with its outputs."""
     import matplotlib as mpl
 
     mpl.use("agg")
@@ -83,7 +83,7 @@ def read(path: Path = EXAMPLE) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Write the example's outputs anew."""
+    """Write the outputs of the example again."""
     with tempfile.TemporaryDirectory() as place:
         assert run(example_settings(), Path(place) / FOLDER)
         os.chdir(place)

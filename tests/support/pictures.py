@@ -116,7 +116,7 @@ PICTURES = (
 
 
 def parsed_line(path: Path) -> str:
-    """Return what a picture's file says that it shows."""
+    """Return the source line in the file of a figure."""
     if path.suffix == ".svg":
         return ElementTree.parse(path).findtext("{http://www.w3.org/2000/svg}desc", default="")
     from PIL import Image
@@ -126,12 +126,12 @@ def parsed_line(path: Path) -> str:
 
 
 def source_of(picture: Picture) -> str:
-    """Return what stands in the file of a picture."""
+    """Return the source line for the file of a figure."""
     return f"hour {picture.hour}, {picture.of}: {'; '.join(picture.shows)}"
 
 
 def make(folder: Path) -> None:
-    """Record the test and make each picture below ``folder``."""
+    """Record the test and write each figure below ``folder``."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
         *demo, name = DEMO.split()
         data = Path(place) / name
@@ -152,7 +152,7 @@ def make(folder: Path) -> None:
 
 
 def _on_terminal(*words: str, **environment: str) -> str:
-    """Run a command to its end; its screen, with colours where nothing on it was written over."""
+    """Run a command to its end; return its screen, with colors where nothing was overwritten."""
     with on_terminal([*SOLIMON, *words], environment) as terminal:
         assert terminal.end() == 0, terminal.written
         plain = "\n".join(terminal.shown())
@@ -161,7 +161,7 @@ def _on_terminal(*words: str, **environment: str) -> str:
 
 @contextmanager
 def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
-    """Open the page of the test as far as it is."""
+    """Open the page of the test in its present state."""
     settings = load_settings(data / CONFIGURATION_FILE, overrides={"schedule": {"end_h": hour}})
     with served(settings, data) as service:
         context = browser.new_context(viewport=DESK, color_scheme="light")
@@ -203,7 +203,7 @@ def _small(png: bytes, description: str) -> bytes:
 
 
 def _drawn(screen: str, picture: Picture) -> str:
-    """Draw a terminal's screen; the page that shows it loads no font from elsewhere."""
+    """Draw the screen of a terminal; the page that shows it loads no remote font."""
     from rich.console import Console
     from rich.text import Text
 

@@ -56,7 +56,7 @@ CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 
 
 def refusal_settings() -> Settings:
-    """Six sets of ten records, a set every 18 s."""
+    """Return settings of six sets of ten records, a set every 18 s."""
     interval_h = INTERVAL_S / 3600.0
     return memory_settings(
         schedule={
@@ -100,7 +100,7 @@ class Stop(threading.Event):
 
 @contextmanager
 def injected(clock: Time) -> Iterator[None]:
-    """Let everything in this process go by a clock that nobody waits for."""
+    """Let everything in this process use a simulated clock."""
     named: dict[Callable[..., Any], dict[str, Any]] = {
         SetFinalizer.__init__: {"mono_s": clock.s},
         Heartbeat.__init__: {"mono_ns": clock.ns},
@@ -147,7 +147,7 @@ def record(
 
 
 def begin(folder: Path) -> None:
-    """Make a test that has begun: stopped after its second set."""
+    """Create a started test: stopped after its second set."""
     clock, acknowledged_ids = Time(), list[int]()
     stop = Stop(clock)
     clock.look = lambda: (
@@ -174,7 +174,7 @@ class FirstReport(logging.Handler):
 
 
 def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Go on with the test under one refusal; return what became of it."""
+    """Continue the test under one refusal; return the outcome."""
     start = json.loads((folder.parent / "begun.json").read_text())
     clock = Time()
     clock.now_ns = start["now_ns"]
@@ -238,7 +238,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def refuse(case: dict[str, Any], folder: Path) -> None:
-    """Tell the library; a case without a call refuses nothing, one without a count only notes."""
+    """Configure the library; without a call it refuses nothing, without a count it only logs."""
     os.environ.update(
         REFUSE_UNDER=str(folder),
         REFUSE_FILES=case.get("files", "*"),
@@ -251,7 +251,7 @@ def refuse(case: dict[str, Any], folder: Path) -> None:
 
 
 def left(folder: Path) -> list[str]:
-    """What a finished test has no use for."""
+    """Return files that a finished test must not leave."""
     return sorted(path.name for path in (*folder.glob("journal/*"), *folder.glob("**/*.tmp")))
 
 
@@ -274,7 +274,7 @@ class Trouble:
 
 
 def trouble_of(case: dict[str, Any], folder: Path, clock: Time) -> Trouble | None:
-    """An exclusive transaction on the catalogue, or the folder moved away."""
+    """Return an exclusive transaction on the catalogue, or a move of the folder."""
 
     def lock() -> Callable[[], Any]:
         held = sqlite3.connect(folder / "catalogue.sqlite", isolation_level=None)
@@ -318,7 +318,7 @@ def in_a_fork(case: dict[str, Any], started_folder: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Make a test that has begun, then follow each case."""
+    """Create a started test, then follow each case."""
     started_folder = Path(sys.argv[1]) / "begun" / "data"
     started_folder.parent.mkdir(parents=True)
     begin(started_folder)

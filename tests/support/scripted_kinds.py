@@ -56,7 +56,7 @@ SCRIPT = Script()
 
 
 def begin_script() -> Script:
-    """Forget what the last test did."""
+    """Reset the script of the previous test."""
     fresh = Script()
     SCRIPT.events, SCRIPT.openings, SCRIPT.fails, SCRIPT.comes = (
         fresh.events,

@@ -40,7 +40,7 @@ class Served:
 
 
 def brought(page: str) -> dict[str, Any]:
-    """Answers that a page of the dashboard brings along, by path."""
+    """Return answers embedded in a page of the dashboard, by path."""
     _, script_tag, rest = page.partition('<script type="application/json" id="answers">')
     assert script_tag
     answers: dict[str, Any] = json.loads(rest.partition("</script>")[0])
@@ -87,7 +87,7 @@ class StreamEvent:
 
 
 def stream_events(response: httpx.Response) -> Iterator[StreamEvent]:
-    """Parse server-sent events as a browser does; comments and heartbeats are left out."""
+    """Parse server-sent events as a browser does, without comments and heartbeats."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():
         if line == "":

@@ -17,7 +17,7 @@ class SteppedClock:
         self._now_ns = 0
 
     def start(self, before: object = None) -> Clock:
-        """Begin a run, after another one a while later."""
+        """Start a run, later than the run before it."""
         self._now_ns = max(time.time_ns(), self._now_ns + PAUSE_NS)
         return self
 

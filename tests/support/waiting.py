@@ -35,7 +35,7 @@ def happened(wait: Callable[[float], bool], what: str) -> None:
 
 
 def until(found: Callable[[], T | None], what: str) -> T:
-    """Ask again and again until something other than None, False or empty is found."""
+    """Poll until the result is something other than None, False or empty."""
     deadline_s = time.monotonic() + WAIT_S
     pause, pause_s = threading.Event(), FIRST_PAUSE_S
     while not (answer := found()):

@@ -360,7 +360,7 @@ def quiet(twin=TWIN):
 
 
 def assert_is_simulated(truth, force):
-    """The truth's numbers are those of the model at the stored depth, drop height and tilt."""
+    """Check that the truth equals the model at the stored depth, drop height and tilt."""
     pulses = summarise(force)
     expected = {
         "isw_peak_n": pulses.isw_peak_n,

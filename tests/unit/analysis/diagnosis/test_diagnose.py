@@ -47,7 +47,7 @@ ZERO = np.zeros(len(COMPONENTS))
 
 
 def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
-    """Independent sets of a chain whose every contact sits a little differently in each."""
+    """Return independent sets of a chain whose contacts vary slightly."""
     random = np.random.default_rng(seed)
     shape = (sets, len(SD))
     noise = 1e-3 * random.standard_normal((sets, len(COMPONENTS)))
@@ -55,12 +55,12 @@ def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
 
 
 def growing(target: FloatArray) -> FloatArray:
-    """Change of each set: nothing in the baseline, then evenly more."""
+    """Return the change of each set: zero in the baseline, then growing linearly."""
     return np.linspace(0.0, 1.0, AFTER + 1)[1:, None] * target
 
 
 def wall(depth: float) -> FloatArray:
-    """Change by a wall that thins evenly to this depth."""
+    """Return the change by a wall that thins linearly to this depth."""
     depths = np.linspace(0.0, depth, AFTER + 1)[1:]
     curve = np.vstack([ZERO, WALL_B])
     return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
@@ -69,7 +69,7 @@ def wall(depth: float) -> FloatArray:
 def diagnoses(
     change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
 ) -> Iterator[Diagnosis]:
-    """Verdicts of every fifth set after the baseline; a confirmation is struck after their 30th."""
+    """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
     design = diagnosis_parameters(logs[:BASELINE])

@@ -10,7 +10,7 @@ BASELINE, DIRECTIONS = 200, 7
 
 
 def sets(variances: list[float], n: int, seed: int = 1) -> np.ndarray:
-    """Sum of autoregressions with the memories of `PHI` and these variances, shape (n, DIRECTIONS)."""
+    """Return a sum of autoregressions with coefficients `PHI` and these variances, shape (n, DIRECTIONS)."""
     apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     whole = sum(v * phi**apart for v, phi in zip(variances, PHI, strict=True))
     random = np.random.default_rng(seed)

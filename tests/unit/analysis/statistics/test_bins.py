@@ -9,7 +9,7 @@ NAN = float("nan")
 
 
 def bins(**changed):
-    """Bins of six sets: one without any value, one outlier, one missed."""
+    """Return bins of six sets: one without any value, one outlier, one missed."""
     columns = {
         "set_index": [0, 1, 2, 3, 4, 7],
         "due_h": [0.5, 1.0, 1.5, 2.0, 2.5, 4.0],

@@ -127,7 +127,7 @@ def test_impossible_hole_rule_is_refused():
 
 
 def poor_sets(*sets):
-    """Count after each set of (valid, tried) shots of ten, seven of which must be valid."""
+    """Return the count after each set of (valid, attempted) shots of ten; seven must be valid."""
     running, counts = 0, []
     for n_valid, n_tried in sets:
         running = next_poor_sets(running, n_valid=n_valid, n_tried=n_tried, n_planned=10, minimum_valid=7)

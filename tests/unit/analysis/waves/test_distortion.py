@@ -33,12 +33,12 @@ def hard(volts, part):
 
 
 def soft(volts, scale):
-    """Limit as tanh does; 2.5: the top falls to .95, 1.7: to .9."""
+    """Limit like tanh; 2.5: the top falls to .95, 1.7: to .9."""
     return scale * SCENE.isw_v * np.tanh(volts / (scale * SCENE.isw_v))
 
 
 def limited(how, amount, seed=99):
-    """The noise comes after the limit, so that no two samples are alike at the top."""
+    """Add noise after the limit, so that no two samples at the top are equal."""
     return extracted(how(SCENE.with_(noise_fraction=0.0).volts(), amount) + noise(seed))
 
 

@@ -173,7 +173,7 @@ def second_strike(scene, delay_s, fraction):
 
 
 def knock(scene, frequency_hz, fraction):
-    """Something hits the frame 150 us after the ISW's peak, and it rings for .3 ms."""
+    """Add a knock on the frame 150 us after the ISW peak that rings for .3 ms."""
     since = scene.time_s() - scene.isw_time_s - 150e-6
     ringing = np.exp(-since.clip(0.0) / 0.3e-3) * np.sin(2.0 * np.pi * frequency_hz * since.clip(0.0))
     return fraction * scene.isw_v * ringing
@@ -188,7 +188,7 @@ def coil_spike(t, height_v, decay_s, ringing_hz=0.0):
 
 
 def flagged(name, scene=NOISY):
-    """Record that deserves one flag."""
+    """Return a record that deserves one flag."""
     t = scene.time_s()
     volts = scene.volts(3)
     if name == "missed":

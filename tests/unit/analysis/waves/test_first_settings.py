@@ -16,7 +16,7 @@ RANGES_V = (1.0, 2.0, 5.0, 10.0)
 
 
 def struck(wave_v=2.5, *, noise_v=0.01, offset_v=0.0, off_v=0.0, decay_s=0.2e-3, seed=0):
-    """Waves of a transducer, after what its coil couples in when it goes off."""
+    """Return waves of a transducer, after the crosstalk of its coil."""
     random = np.random.default_rng(seed)
     volts = wave_v * (cos4(T, WAVE_S) + 0.5 * cos4(T, WAVE_S + 0.33e-3))
     volts += (T >= PULSE_S) * off_v * np.exp(-np.maximum(T - PULSE_S, 0.0) / decay_s)

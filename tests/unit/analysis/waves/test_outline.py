@@ -31,7 +31,7 @@ def foreign(after_isw_s, height, width_s, seed=99):
 
 
 def cut(after_isw_s, lost_s=50e-6, seed=99):
-    """Samples are lost from there on, what follows moves forward."""
+    """Remove samples from there on, so that later ones move forward."""
     first = round((SCENE.isw_time_s + after_isw_s) * SCENE.rate_hz) + SCENE.pretrigger_samples
     lost = round(lost_s * SCENE.rate_hz)
     volts = SCENE.volts(seed)

@@ -103,7 +103,7 @@ def test_what_is_over_within_its_delay_is_not_told(made):
     assert bench.run(50.0) == []
     bench.alarms.change(present=False)
     assert bench.run(300.0) == []
-    (line,) = bench.outcomes("held_back")
+    (line,) = bench.log_lines("held_back")
     assert line.event_ids == [1, 2]
     bench.alarms.change()  # it is back, and stays
     assert bench.run(59.0) == []
@@ -162,7 +162,7 @@ def test_a_restart_neither_loses_nor_repeats(made):
     bench.run(200.0)
     told = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
     assert told == [goes, while_away, waits]
-    assert (bench.mono_s, bench.outcomes("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
+    assert (bench.mono_s, bench.log_lines("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
 def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(made):
@@ -281,8 +281,8 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
         bench.mono_s += pause_s
     assert times_s == [0.0, 2.0, 6.0, 14.0, 30.0, 62.0]
     assert len({message.key for message in bench.sent}) == 1
-    assert [line.event_ids for line in bench.outcomes("sent")] == [[first]]
-    assert [line.told for line in bench.outcomes("failing")] == ["no answer within 15 s"]
+    assert [line.event_ids for line in bench.log_lines("sent")] == [[first]]
+    assert [line.told for line in bench.log_lines("failing")] == ["no answer within 15 s"]
     assert [record.levelno for record in caplog.records].count(logging.WARNING) == 1
 
 
@@ -303,7 +303,7 @@ def test_a_message_that_is_refused_makes_way_for_the_others(made):
     bench.alarms.change("hole")
     bench.run(100.0)
     assert [changes(message)[0][0] for message in bench.sent] == ["wall_change"] * 5 + ["hole"]
-    (line,) = bench.outcomes("gave_up")
+    (line,) = bench.log_lines("gave_up")
     assert line.told == "refused 5 times: the receiver answers 422"
 
 
@@ -312,7 +312,7 @@ def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
     bench.outcomes += [DEAD] * 400
     bench.alarms.change()
     bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
-    (line,) = bench.outcomes("gave_up")
+    (line,) = bench.log_lines("gave_up")
     assert line.told == "not delivered within 24 h: no answer within 15 s"
     assert is_dead(bench.line.state, bench.now_ns())
     bench.outcomes.clear()
@@ -333,7 +333,7 @@ def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(mad
     bench.run(100.0)
     assert bench.line.state.waiting == 21
     bench.run(900.0, at_least_s=1.0)
-    told = [event_id for line in bench.outcomes("sent") for event_id in line.event_ids]
+    told = [event_id for line in bench.log_lines("sent") for event_id in line.event_ids]
     assert sorted(told) == list(range(1, 51))
 
 
@@ -358,7 +358,7 @@ def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, mo
     facts["recorder"] = "silent"
     assert bench.run(300.0) == []
     assert bench.line.state.heartbeat == "withheld"
-    assert [line.told.partition(":")[0] for line in bench.outcomes("heartbeat")] == [
+    assert [line.told.partition(":")[0] for line in bench.log_lines("heartbeat")] == [
         "withheld",
         "ok",
         "withheld",
@@ -421,6 +421,6 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(made, monkey
         receiver_module, "news_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
-    assert bench.outcomes("sent")[0].event_ids == [readable]
-    assert [line.told for line in bench.outcomes("failing")] == ["it could not be sent (LookupError)"]
+    assert bench.log_lines("sent")[0].event_ids == [readable]
+    assert [line.told for line in bench.log_lines("failing")] == ["it could not be sent (LookupError)"]
     assert f"event {unreadable} cannot be read and is not sent" in caplog.text

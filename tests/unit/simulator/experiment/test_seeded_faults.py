@@ -99,7 +99,7 @@ def drawn(faults, n=1_000, hour_h=1.0, seed=1):
 
 
 def assert_rate(hits, probability):
-    """Check that the seeded draws lie in the interval that holds all but 1e-4 of binomial counts."""
+    """Check that seeded draws are in the interval that holds all but 1e-4 of binomial counts."""
     low, high = stats.binom.interval(1.0 - 1e-4, len(hits), probability)
     assert low <= sum(hits) <= high
 
