@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "examples" / "container" / "Dockerfile").read_text(encoding="utf-8")
 LINES = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", TEXT, flags=re.MULTILINE)).splitlines()
 STEPS = [tuple(line.split(maxsplit=1)) for line in LINES if line.strip()]
-"""Each instruction and what it is told, in order."""
+"""Each instruction and its arguments, in order."""
 
 
 def arguments_of(instruction: str) -> list[str]:
@@ -85,6 +85,6 @@ def test_the_health_check_requests_the_page(status: int | None, healthy: bool) -
         asked = program.replace("8750", str(port))
         if status is not None:
             done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
-    if status is None:  # nobody is there any more
+    if status is None:  # the client has gone
         done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
     assert (done.returncode == 0) == healthy

@@ -115,7 +115,7 @@ def test_hears_no_signal():
     {hang}
 """
 HANGS = {
-    # As in a call of C that begins anew when a signal interrupts it.
+    # As in a call of C that restarts when a signal interrupts it.
     "to signals": "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM}); threading.Event().wait()",
     "to its own end": """while True:
         try:

@@ -1,4 +1,4 @@
-"""The tools that guard the house, run as a test so that nobody can forget them."""
+"""The linters and import rules, run as a test."""
 
 import subprocess
 import sys

@@ -83,7 +83,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(asked),
-        # No compiler, and no tool of binutils: ctypes finds no library, whatever is installed here.
+        # No compiler, and no tool of binutils: ctypes finds no library.
         env={**os.environ, "PATH": str(folder / "no-programs")},
         capture_output=True,
         text=True,
@@ -97,7 +97,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
 
 def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded: dict[str, Recorded]) -> None:
     done = recorded["simulated"]
-    # On a busy machine it tells of what it makes once and keeps.
+    # On a busy machine it reports what it compiles once.
     once = ("compiling the twin's loops", "building the twin's plates")
     messages = [line for line in done.stderr.splitlines() if not line.startswith(once)]
     assert (done.code, messages, done.asked) == (0, ["hour 0.5, set 1 of 2", "hour 1.0, set 2 of 2"], [])

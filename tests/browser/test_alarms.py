@@ -1,4 +1,4 @@
-"""Alarms and notes of an ended test: whatever an operator does is done at once, by mouse and by keys."""
+"""Alarms and notes of an ended test: each operation is executed at once, by mouse and by keyboard."""
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -142,7 +142,7 @@ def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, op
     assert shown["y"]["judged"] == [rows[index]["distance_squared"] for index in shown["opens"]]
     assert set(shown["y"]["limit"]) == {24.3}
     links = box.locator(".proof-sets a")
-    # The baseline's sets are not judged: three are, and the alarm's is the last of them.
+    # The baseline's sets are not assessed: three are, and that of the alarm is the last of them.
     assessed = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
     link_texts = links.all_inner_texts()
     assert [text.partition(":")[0] for text in link_texts] == [

@@ -312,7 +312,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is released")
     expect(page.locator("#hold")).to_be_hidden()
-    # Whoever opens the page later sees it too.
+    # A page opened later shows it too.
     expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
@@ -334,7 +334,7 @@ def test_a_person_is_prompted_with_the_remaining_time(ordering, ordered, open_pa
     expect(banner).to_contain_text("strike C now")
     expect(banner).to_contain_text("Position C, set 4, shot 7")
     expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
-    # Whoever opens the page later is asked too, and told what is left then.
+    # A page opened later also prompts, with the remaining time.
     filled.say("orders", at + 580 * 10**9, text="anything new")
     expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
     filled.say("asked_over", at + 581 * 10**9)
@@ -455,7 +455,7 @@ def test_a_restart_of_service_and_recorder_is_shown_and_loses_no_event(filled, o
         wait_for_sets(page, N_SETS)
     expect(page.locator("#connection")).to_have_text("Connection lost, retrying")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
-    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
+    # No service runs: the page gets these events afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
     filled.recorder_ends()
     again = FilledFolder(filled.folder, SETTINGS, exists=True)
@@ -491,7 +491,7 @@ def test_labels_on_a_chart_start_at_their_hour_and_do_not_overlap(filled, servic
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     page.evaluate(WRITTEN)
-    page.set_viewport_size({"width": 1300, "height": 900})  # all is drawn anew
+    page.set_viewport_size({"width": 1300, "height": 900})  # everything is drawn again
     names = ("baseline", "couplant renewed", "door open", "bath refilled")
     seen = until(
         lambda: (

@@ -1,4 +1,4 @@
-"""A page that somebody leaves open: through a whole test, asleep, and on paper."""
+"""A page that stays open: through a whole test, asleep, and on paper."""
 
 import pytest
 from support.browser_pages import DESK, dashboard, expect

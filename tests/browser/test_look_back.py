@@ -328,7 +328,7 @@ def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, serv
 
 
 def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, service, open_page):
-    """Position D was coupled anew before set 50: its second baseline collects from there on."""
+    """Position D was coupled again before set 50: its second baseline collects from there on."""
     asked = {"author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
     first = frozen_baseline("D", id=4)
     rows = renewed("D", filled.settings, first, first_set=RENEWED, **asked)
@@ -345,7 +345,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     ]
     shown = np.array(dashboard(page, "charts.tof.y")["tof_pp_us"])
     values = np.array([filled.features("D", k, filled.due[k].due_h)["tof_pp_s"] for k in range(count)])
-    # Each set by the mean of the baseline that it belongs to or is judged by, up to rounding.
+    # Each set by the mean of the baseline that it belongs to or is assessed by, up to rounding.
     old, new = values[:48].mean(), values[RENEWED:].mean()
     np.testing.assert_allclose(shown[:RENEWED], 100.0 * (values[:RENEWED] / old - 1.0), rtol=0, atol=1e-9)
     np.testing.assert_allclose(shown[RENEWED:], 100.0 * (values[RENEWED:] / new - 1.0), rtol=0, atol=1e-9)

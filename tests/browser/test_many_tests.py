@@ -116,7 +116,7 @@ def test_a_twin_series_is_drawn_on_the_axis_of_the_test_and_opens_its_set(tests,
     until(lambda: key in dashboard(page, "charts")["tof"]["y"], "the address brings it back")
     page.locator("#tof .plot").scroll_into_view_if_needed()
     over = page.locator("#tof .u-over")
-    # While other series come the plot is made anew: there is none for a moment.
+    # While other series come the plot is made again: there is none for a moment.
     box = until(over.bounding_box, "the plot is there")
     low, high = dashboard(page, "charts.tof.span")
     last = N_SETS + 2  # only the twin has got there
@@ -155,7 +155,7 @@ def test_a_hidden_page_leaves_its_connection_to_others_and_misses_nothing(tests,
 
     until(lambda: streams() == 1, "the page follows the test")
     hide(True)
-    # The service sees that somebody has left when it sends again.
+    # The service notices a closed connection when it sends again.
     until(lambda: (filled.say("nothing"), streams())[1] == 0, "the connection is free")
     newest = filled.say("nothing")
     hide(False)

@@ -54,7 +54,7 @@ def filled(tmp_path_factory):
 
     folder.assessment = with_outliers_at_c
     for index in range(N_SETS):
-        # Beside C's set the page draws one of the baseline: the first, where all have one distance.
+        # Next to C's set the page draws one of the baseline: the first, where all have one distance.
         folder.add_set(index, stored=index == 0 or index > 40)
     for number, position in ((OF_B, "B"), (OF_C, "C")):
         assert folder.add_alarm(position, LAST - 1) == number

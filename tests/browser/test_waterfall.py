@@ -25,7 +25,7 @@ WALL = {"width": 1920, "height": 1080}
 SETTINGS = Settings(
     ultrasound={"delay_s": 1e-6}, schedule={"end_h": END_H, "phases": [{"until_h": END_H, "interval_h": 0.5}]}
 )
-# The page's map, written down once more: a test that asked the page for it would find any map right.
+# The page's map, written down again: a test that asked the page for it would find any map right.
 LIGHT = {
     -1: np.array([[255, 255, 255], [120, 178, 222], [0, 82, 148], [0, 30, 66]], dtype=float),
     1: np.array([[255, 255, 255], [244, 176, 104], [186, 84, 0], [84, 26, 0]], dtype=float),

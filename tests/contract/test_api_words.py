@@ -1,4 +1,4 @@
-"""`docs/reference/api.md` lists every type of problem and every kind of event that the code can tell."""
+"""`docs/reference/api.md` lists every type of problem and every kind of event in the code."""
 
 import ast
 import re

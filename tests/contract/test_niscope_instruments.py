@@ -281,7 +281,7 @@ def test_a_board_that_was_unplugged_is_found_again_under_another_name():
                 unit.acquire(rig.key(), rig.TIMEOUT_S)
         running.plug(rig.SERIAL, "Dev4")
         assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["resource"] == "Dev4"
-        # The ladder begins anew: one loss is no reason for a reset.
+        # The recovery starts again: one loss is no reason for a reset.
         running.clear_record()
         running.faults.inject("niScope_InitiateAcquisition", "error", code=-1074118654)
         with pytest.raises(ConnectionLostError):

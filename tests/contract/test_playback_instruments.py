@@ -1,4 +1,4 @@
-"""Recorded instruments keep the contracts of the real ones, whatever file the shots come from."""
+"""Recorded instruments keep the contracts of the real ones for any source of shots."""
 
 import numpy as np
 import pytest

@@ -3,7 +3,7 @@
 The shots are those of the paper's drop height, with its scatter; each is compared with the twin's own record
 of the same shot without any crosstalk. Noise is off where times are compared: a trigger moved by one sample
 lets the same noise fall into other means. A spike lasts until it has fallen to a hundredth; in noise that
-time is its decay to 1/e, so that what is left of the longest ones still stands under the wave.
+time is its decay to 1/e, so that what is left of the longest ones is still under the wave.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from simulator.parameters.electronics import NoiseParameters
 DROP_M = 5e-3
 NOISE = NoiseParameters()
 SEEN_V = 6.0 * (NOISE.rms_v**2 + NOISE.slow_rms_v**2) ** 0.5
-"""A spike below six times the noise is not told from it, and far from the trigger level."""
+"""A spike below six times the noise is not separated from it, and far from the trigger level."""
 TOF_S = 0.02e-6
 
 QUICK = quick_description(board(), positions="C")
@@ -247,7 +247,7 @@ def test_the_doctor_names_the_spike_and_its_cure_and_the_cure_cures(
     assert f"holdoff_s = {values['proposed_holdoff_s']:g}" in spike["remedy"]
     assert checks["strike C: record"]["values"]["flags"] == "false_trigger"
     assert "holdoff_s" in checks["strike C: record"]["remedy"]
-    # The level is judged by the strike that did show a wave: no advice comes from a number that is none.
+    # The level is assessed by the strike that did show a wave: no advice comes from a number that is none.
     assert checks["strike C: trigger level"]["state"] == "ok"
     assert "nan" not in text.lower()
     assert values["wave_after_s"] == pytest.approx(values["expected_wave_after_s"], rel=0.2)

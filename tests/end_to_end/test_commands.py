@@ -296,7 +296,7 @@ def test_an_operators_stop_is_kept_by_the_supervisor(watched: Demo) -> None:
     assert not is_running(recorder)
     assert "record" not in children_of(watched.process.pid)
     stored = sets_done(watched.folder)
-    # The dashboard stays, and tells the state; nothing is struck meanwhile.
+    # The dashboard stays, and shows the state; nothing is struck meanwhile.
     with urllib.request.urlopen(f"{watched.url}/api/v1/health", timeout=LIMIT_S) as answer:
         assert json.load(answer)["as_of"]["recorder"] == "stopped"
     watched.process.send_signal(signal.SIGINT)

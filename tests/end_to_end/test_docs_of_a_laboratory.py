@@ -196,12 +196,12 @@ COMMANDS = {
     "how-to/my-alarm-what-now.md": ["status"],
     "how-to/upgrade.md": ["backup", "verify", "check-config", "doctor", "run"],
 }
-"""Pages and the commands that stand in lines of their own there, in this order."""
+"""Pages and the commands on separate lines there, in this order."""
 TAKES_LONG = ("demo", "doctor", "run")
 """Tested as commands elsewhere; the tutorial's demo is the one that its pictures are made by."""
 
 ORDERS = ("approve-baseline", "renew-baseline")
-"""Understood, but nobody records the test of this page."""
+"""Commands that are parsed, but need a recorded test."""
 
 
 @pytest.mark.parametrize("page", COMMANDS)

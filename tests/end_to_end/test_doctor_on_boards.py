@@ -348,7 +348,7 @@ def test_a_server_is_reached_and_a_missing_one_is_reported_at_once(
     assert code == 5, "another recorder of this computer, with another data folder"
     assert f"process {os.getpid()}" in checks["driver: reachable"]["found"]
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # and nobody listens
+        taken.bind(("127.0.0.1", 0))  # without a listener
         changes["grpc_address"] = f"127.0.0.1:{taken.getsockname()[1]}"
         code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
     assert code == 3

@@ -60,7 +60,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-build-isolation"]
     packages = []
     for example in ("block_scope", "manual_striker"):
-        # Built from a copy: a build may write beside the sources.
+        # Built from a copy: a build may write next to the sources.
         packages.append(tmp_path_factory.mktemp(example) / example)
         shutil.copytree(EXAMPLES / example, packages[-1], ignore=shutil.ignore_patterns("__pycache__"))
     done = subprocess.run(
@@ -77,7 +77,7 @@ def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path
         source = EXAMPLES / example / name
         (shutil.copytree if source.is_dir() else shutil.copy)(source, tmp_path / name)
     done = subprocess.run(
-        # Beside the suites its own tests, which are named after it.
+        # In addition to the suites its own tests, which are named after it.
         [
             sys.executable,
             "-m",

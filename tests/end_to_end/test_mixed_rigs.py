@@ -1,4 +1,4 @@
-"""Sets of mixed rigs through the recorder: NI boards (on doubles) beside instruments of another package."""
+"""Sets of mixed rigs through the recorder: NI boards (on doubles) with instruments of another package."""
 
 import json
 import threading

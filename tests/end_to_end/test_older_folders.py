@@ -24,8 +24,8 @@ CONFIGURATION_OF = {"9c4a9b9": PROBE_TOO, "ab39956": TRANSDUCER, "c3c2e28": TRAN
 TO_THE_END = {"schedule": {"end_h": 2.0}}
 SETS = 20
 FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselines", "events")
-"""Tables whose rows nobody changes once they are there; an alarm follows its state, and
-the verdicts of a baseline's sets wait for it."""
+"""Tables whose rows never change; an alarm follows its state, and
+the assessments of a baseline's sets wait for it."""
 
 CAME_LATER = {
     "state",
@@ -38,7 +38,7 @@ CAME_LATER = {
     "chart_alarm",
 }
 CAME_LATER |= {"cause", "cause_probability", "cause_told"}
-"""Columns of a baseline that has a chart, and of its verdicts."""
+"""Columns of a baseline that has a chart, and of its assessments."""
 
 Unpack = Callable[[str], Path]
 

@@ -1,4 +1,4 @@
-"""What a person sees: whole commands on a pseudo-terminal, beside pictures that are kept in `terminal/`."""
+"""Complete commands on a pseudo-terminal, compared with the screens in `terminal/`."""
 
 import json
 import os
@@ -42,7 +42,7 @@ MASKS = (
     (r"done in \d+\.\d s", "done in <time>"),
     (r"(seconds of the recorder's last run:).*", r"\1 <cost>"),
     (r"\d+\.\d\d GB free", "<size> free"),
-    # How long they take is the machine's; they are told only where it is long.
+    # How long they take is the machine's; they are reported only where it is long.
     (r"(?m)^(compiling|building) the twin's .*: took .*\n", ""),
 )
 

@@ -8,7 +8,7 @@ from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, source_of
 from test_docs import PAGES
 
 MOST_BYTES = 1_500_000
-"""Of all of them: whoever clones the repository takes them along."""
+"""Limit of all files: each clone of the repository contains them."""
 
 
 def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others() -> None:

@@ -24,7 +24,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord
 
 END_H, SHORT_H, LAST = 8.0, 1.5, 15
-"""Beyond the baseline of 7.5 h there are verdicts; what concerns single shots is seen in less."""
+"""After the baseline of 7.5 h there are assessments; what concerns single shots is seen in less."""
 FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines", "alarms")
 
 
@@ -110,7 +110,7 @@ def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
     assert run(played_back(recording, **asking), tmp_path)
     assert_same_sets(tmp_path, recording)
     rows, recorded = rows_of(tmp_path), rows_of(recording)
-    # The recording has no set beside the plan: it is told as that, and nothing else comes of it.
+    # The recording has no unscheduled set: it is reported as missed, without other consequences.
     (unscheduled,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
     assert (unscheduled.position, unscheduled.set_index, unscheduled.state) == (
         "B",

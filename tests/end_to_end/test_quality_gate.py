@@ -399,7 +399,7 @@ def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Pa
     quiet = silent("B")
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
-        # Before any set is stored as retired: nothing but the alarm's reset tells of the reinstatement.
+        # Before any set is stored as retired: only the reset of the alarm shows that it was enabled.
         if restart and key == ShotKey(position="D", set_index=4, shot_index=2):
             stop.set()
         return quiet(key, acquired)
@@ -549,7 +549,7 @@ def test_a_pause_survives_a_restart_and_ends_by_resuming(
 
 
 def test_sets_cut_short_by_pauses_are_not_counted_against_a_transducer(tmp_path: Path) -> None:
-    """B has one shot in each of four sets: too few, but nobody let it strike."""
+    """B has one shot in each of four sets: too few, but it was not struck."""
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
         orders += [(hour + 4 / 3600, "hold", {"note": "why"}), (hour + 0.4, "release", {})]

@@ -75,7 +75,7 @@ def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
     assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
     # A record's pretrigger samples may take a cell more.
     assert tile_bytes(settings, SETS) == pytest.approx(n_bytes(finished), rel=0.01)
-    # The empty tables, 0.3 MB, weigh more beside ten records a set than in a test of months.
+    # The empty tables, 0.3 MB, weigh more next to ten records per set than in a test of months.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.4e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 

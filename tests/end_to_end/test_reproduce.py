@@ -359,7 +359,7 @@ def test_a_corrupt_set_is_left_out_and_named(small: Path, executor: Executor, tm
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "set 0 is left out of the waveforms" in report
     assert "set 1 is left out of the waveforms" in report
-    # Without any waveform the other figures stand.
+    # Without any waveform the other figures remain.
     shutil.rmtree(data / "sets")
     result, _ = made(tmp_path / "out", chosen_items("fig7,fig8"), executor, data)
     assert "no readable waveform" in result["items"]["fig7"]["not_available"]

@@ -1,4 +1,4 @@
-"""A rig that is busy or gone when a recorder starts: a new test says so, one that has begun waits."""
+"""A rig that is busy or gone when a recorder starts: a new test reports it, a started test waits."""
 
 import threading
 from collections.abc import Iterator
@@ -99,7 +99,7 @@ def test_any_rig_error_is_waited_for_when_unattended(tmp_path: Path) -> None:
 
 
 def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
-    """Nobody recorded, then a recorder waited for its rig: real time, on a clock that nobody waits for."""
+    """A gap, then a recorder that waits for its rig: real time on a simulated clock."""
     clock = Time()
     began_s, stop, again = clock.s(), Stop(clock), Stop(clock)
 

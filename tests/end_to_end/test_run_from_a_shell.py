@@ -24,7 +24,7 @@ def sets(folder: Path) -> int:
 
 
 def test_a_test_survives_its_terminal_on_request(tmp_path: Path) -> None:
-    """As `nohup` starts it: its terminal hangs up, and whoever sits there presses Ctrl-C before."""
+    """As `nohup` starts it: its terminal hangs up after a Ctrl-C."""
     ignoring = ["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh"]
     with subprocess.Popen(
         [*ignoring, *arguments("run", "--no-web", folder=tmp_path / "data")],

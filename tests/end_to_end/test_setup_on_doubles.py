@@ -138,7 +138,7 @@ def test_without_permission_nothing_strikes_and_the_file_states_it(
     assert "Nothing was struck" in file.read_text(encoding="utf-8")
     boards = load_settings(file).rig.daqmx
     assert boards is not None
-    # Whatever the coil does: a third of the fall from 5 mm less the pre-trigger.
+    # For any coil: a third of the fall from 5 mm less the pre-trigger.
     assert (boards.trigger_level_v, boards.holdoff_s) == (0.25, 0.0106)
 
 
@@ -162,7 +162,7 @@ def test_a_person_s_own_values_take_the_place_of_those_proposed(
     doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wiring = ["", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
-    # A holdoff beyond the fall is refused, and all is asked once more.
+    # A holdoff beyond the fall is refused, and all prompts repeat.
     own = ["no", "10", "0.4", "", "", "0.5", "10", "0.4", "", "2e-4", "0.012"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*wiring, *own, "", "", ""]) + "\n"))
     file = tmp_path / "lab.toml"

@@ -152,7 +152,7 @@ def test_a_restart_goes_on_counting_and_switches_nothing(
     after = environment(folder)[-1]
     assert after.supply_state == "on"
     assert after.charge_coulomb > before.charge_coulomb > 0.0
-    # Between the two runs nobody measured.
+    # Nothing was measured between the two runs.
     assert after.unknown_s > before.unknown_s
 
 
@@ -194,7 +194,7 @@ def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tm
     )
     assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4, clock=clock)
     assert switchings(instruments) == [(True, "command"), (False, "command")]
-    # Somebody presses the key at the supply while no recorder runs.
+    # The key at the supply is pressed while no recorder runs.
     instruments.supply_link.do(lambda: instruments.supply.press_output_key(True))
     assert run(settings, folder, clock=clock)
     assert [on for on, _ in switchings(instruments)] == [True, False, True, False]

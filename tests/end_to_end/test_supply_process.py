@@ -1,4 +1,4 @@
-"""The drive in a process of its own: whatever ends around it, the supply is never left on unwatched."""
+"""The supply process: when any other process ends, the supply is never left on unwatched."""
 
 import os
 import signal
@@ -269,7 +269,7 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
     settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
-    # The next recorder tells it, and energises nothing.
+    # The next recorder reports it, and energizes nothing.
     with test.recording(settings):
         found = until(lambda: test.alarms() if "supply_unwatched" in test.alarms() else None, "the alarm")
         assert found["supply_unwatched"].state == found["interlock_tripped"].state == "unacknowledged"

@@ -177,7 +177,7 @@ def test_an_impossible_option_is_a_usage_error(arguments: list[str], words: str)
 
 
 def test_an_unwritable_file_is_a_storage_error(tmp_path: Path) -> None:
-    # No file system takes such a name, whoever asks.
+    # No file system takes such a name.
     done = simulate("--sweep", "chain.mass_kg=0.0282", "--out", str(tmp_path / f"{'t' * 300}.csv"))
     assert isinstance(done.exception, StorageError)
     assert "cannot write" in str(done.exception)

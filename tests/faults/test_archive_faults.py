@@ -1,4 +1,4 @@
-"""Whatever the disk does and whenever the process ends: a set is there whole, or not at all.
+"""A set is complete or absent after any disk fault and any end of the process.
 
 Every call to the operating system goes through the names of `os` in `shared_file`; the tests put
 a `Disk` there that counts the calls, refuses one of them, or ends the process between two.
@@ -127,7 +127,7 @@ def test_after_a_refusal_the_set_can_be_stored_again(monkeypatch, tmp_path, make
         make_file()
     disk = put(monkeypatch, Disk())
     file = make_file()
-    # A fsync that failed is never tried again on its file: everything is written anew.
+    # A fsync that failed is never tried again on its file: everything is written again.
     assert disk.calls == CALLS_OF_A_SET
     assert_same_set(read_set(tmp_path / file), make_set())
 

@@ -1,4 +1,4 @@
-"""A crash behind any call that changes a file, of the process or of the power: a start mends it by itself."""
+"""A process crash or power cut after any call that changes a file: a restart repairs it."""
 
 import json
 import os
@@ -44,7 +44,7 @@ pytestmark = needs_a_preload
 CACHES = ("tiles/", "live/")
 """A third of all calls write these; a start makes them again, or goes on without."""
 HOURS_S = 4 * 3600
-"""Of each model: some thousand states, of a second or two beside other work."""
+"""Of each model: some thousand states, of a second or two with other work."""
 SOME = 4
 """States of the default run."""
 ALL_STATES = [pytest.mark.slow, pytest.mark.timeout(HOURS_S)]

@@ -1,4 +1,4 @@
-"""Bits flipped in catalogue and history, both cut short: what is read is what was written, or it is told."""
+"""Bits flipped in catalogue and history, both cut short: what is read is what was written, or an error."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None
 def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str, Any]]:
     """Return rows of a corrupt file that differ and are not reported as corrupt."""
     path = folder / FILE_NAME
-    path.write_bytes(content)  # a start may have mended what lay beside
+    path.write_bytes(content)  # a start may have repaired other files
     named = {(damage.table, damage.row_id) for damage in catalogue_corruption(folder)}
     unnamed = []
     for table, rows in whole.items():
@@ -115,7 +115,7 @@ def test_the_history_returns_the_written_events_and_reports_missing_ones(life: L
         for name in ("events", "commands", "digests"):
             read, written = getattr(found, name), getattr(whole, name)
             missing += len(written) - len(read)
-            # An order's earlier state stands where a later line of it is lost.
+            # A command's earlier state remains where a later line of it is lost.
             assert name == "commands" or read.items() <= written.items(), count
         assert found.experiment in (None, whole.experiment), count
         cut_short = original.startswith(content) or content[:-1] == original[:-1]

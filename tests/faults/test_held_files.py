@@ -1,4 +1,4 @@
-"""Files that somebody holds for a moment, as scanners do on Windows: nothing ends, nothing is lost."""
+"""Files that are held for a moment, as scanners do on Windows: nothing ends, nothing is lost."""
 
 import errno
 import json
@@ -135,7 +135,7 @@ def n_sets(data: Path) -> int:
     ],
 )
 def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path, part, number, words):
-    """From set 2 on every write to journal, sets or catalogue is refused until somebody mends it."""
+    """From set 2 on every write to journal, sets or catalogue is refused until the fault ends."""
     data, log, broken = tmp_path / "data", tmp_path / "refused", tmp_path / "broken"
     environment = refusing(
         library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken

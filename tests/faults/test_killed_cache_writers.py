@@ -119,7 +119,7 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
         answers += end(process, killed=True)
         workers.append(start(KEEPING, tmp_path, 40 * number))  # others may be there already
     for number in range(KILLS_IN_WRITING):
-        process = start(STOPPING, tmp_path, 90_000 + number)  # nobody else comes so far
+        process = start(STOPPING, tmp_path, 90_000 + number)  # no other process comes so far
         assert process.stdout.readline().split() == [b"written"]
         answers += end(process, killed=True)
     for process in workers:

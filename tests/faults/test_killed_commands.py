@@ -61,7 +61,7 @@ def calls(fast):
     [
         # What is durable changes with each sync: some six times an order, of which each kind shows others.
         pytest.param(("nothing",), 4, id="some syncs"),
-        # Pages lost in the midst of lines that the history was given at once are damage: `verify` tells it.
+        # Pages lost within lines written to the history at once are corruption: `verify` reports it.
         pytest.param(("kill", "nothing", "torn"), 1, id="each call", marks=pytest.mark.slow),
     ],
 )
@@ -115,7 +115,7 @@ class Processes:
             cause = ["--restart-reason", "was killed"] if self.kills[name] else []
             output = subprocess.PIPE if name == "web" else subprocess.DEVNULL
             program = [sys.executable, "-m", "daq_service.cli", *arguments, *cause]
-            # Their logs tell of trouble; what Python says of locks that a kill left is not ours.
+            # Their logs report faults; what Python says of locks that a kill left is not ours.
             process = subprocess.Popen(program, stdout=output, stderr=subprocess.DEVNULL, text=True)
             self._running[name] = process
             if process.stdout is not None:
@@ -155,7 +155,7 @@ class Client(threading.Thread):
                 self._give(*self._order(step))
                 step = next(steps)
             except httpx.TransportError:
-                self.stop.wait(0.05)  # nobody listens there now
+                self.stop.wait(0.05)  # nothing listens there now
 
     def _order(self, step: int):
         """Send the next command of a round in which each is possible after those before it."""

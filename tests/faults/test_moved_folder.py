@@ -1,4 +1,4 @@
-"""A data folder that is moved away under a running test and comes back: nothing lost, nothing made anew."""
+"""A data folder that is moved away under a running test and comes back: nothing is lost."""
 
 import logging
 import shutil

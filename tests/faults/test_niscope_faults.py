@@ -32,7 +32,7 @@ from simulator.doubles.transports.library import client_environment
 pytestmark = rig.needs_niscope
 
 DESCRIBED = rig.description(repetition_hz=20e3)
-"""A pulser that nobody has to wait for."""
+"""A pulser without waiting time."""
 
 HARDWARE_FAILURE = -1074118654
 ATTEMPTS = 4
@@ -278,7 +278,7 @@ def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, func
     child.kill()
     child.join()
     assert child.exitcode == -signal.SIGKILL, "it ended by itself"
-    # First the double notices that the process is gone, then the hung call may go on: nobody hears it.
+    # First the double notices that the process is gone, then the hung call may continue without a client.
     until(lambda: not brain.record()["clients"], "the double noticed that the process is gone")
     brain.faults.release()
     assert works_again(brain)

@@ -1,4 +1,4 @@
-"""A disk that refuses a call, some, or all until somebody frees it: it costs time, and nobody's hands."""
+"""A disk that refuses a call, some, or all until it is freed: it costs time, and no manual work."""
 
 import errno
 import itertools
@@ -24,7 +24,7 @@ REPORTED_WITHIN_S = 5.1
 """Five seconds and a pause between two tries."""
 RECORDS = 10 * SETS
 OF_FEW_SETS = "not_judged"
-"""Alarm of a baseline without limits, which stands whatever is refused."""
+"""Alarm of a baseline without limits, which is active for any refusal."""
 SHARES = 2
 """Of the whole matrix, followed side by side: half an hour on two idle cores."""
 CHANGING = re.compile(r"[0-9a-f]{32}|(?<=set_)\d+_\d+T\d+Z|\d{6}(?=\.)|(?<=\.)\d+(?=\.tmp)|(?<=/)[A-D](?=\.)")

@@ -315,7 +315,7 @@ def test_a_second_owner_gets_an_error_with_the_port_and_its_owner(rig):
     with pytest.raises(BusyError) as error:
         second.read(TIMEOUT_S)
     assert str(rig.instruments.supply_link.path) in str(error.value)
-    if sys.platform == "linux":  # elsewhere no file tells who has a port open
+    if sys.platform == "linux":  # elsewhere no file shows who has a port open
         assert f"process {os.getpid()}" in str(error.value)
     rig.supply.read(TIMEOUT_S)
     rig.supply.close()

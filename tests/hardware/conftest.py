@@ -3,7 +3,7 @@
 ``SOLIMON_TEST_HARDWARE=path/to/laboratory.toml``
     The rig. Without it everything here is skipped.
 ``SOLIMON_TEST_STRIKE=yes``
-    Strikers may be lifted and dropped. Nobody has hands in the rig.
+    Strikers may be lifted and dropped. No person has hands in the rig.
 ``SOLIMON_TEST_LOOPBACK=B:ai7``
     The output terminal of B's coil is wired to this analog input of the board that drives it, and the plug of
     the coil drivers is pulled.

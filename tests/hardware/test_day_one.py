@@ -277,7 +277,7 @@ def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback
 
 
 def test_the_watchdog_cuts_a_pulse_short(loopback: Loopback) -> None:
-    """Nobody feeds it: half-way through the pulse the board itself pulls the line low."""
+    """The watchdog is not reset: half-way through the pulse the board itself pulls the line low."""
     from nidaqmx.constants import Level
     from nidaqmx.types import DOExpirationState
 

@@ -1,4 +1,4 @@
-"""What no double can prove of the supply: that it does as its dialect says, and goes off whatever happens.
+"""What no double can prove of the supply: that it follows its dialect, and always switches off.
 
 The first tests only ask. The others put some volts on a resistor that is wired in place of the specimen; they
 come only where ``SOLIMON_TEST_LOAD_OHM`` says that it is there, and each ends with the output off, read back.
@@ -169,7 +169,7 @@ def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load
 
 def test_a_failure_while_the_output_is_on_switches_it_off(supply: ScpiPowerSupply, load: Load) -> None:
     class FellOverError(Exception):
-        """Whatever goes wrong in whoever uses it."""
+        """Any error of a user of the supply."""
 
     with pytest.raises(FellOverError), energised(supply, load.voltage_v, 2.0 * load.current_a):
         raise FellOverError

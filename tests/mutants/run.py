@@ -105,7 +105,7 @@ def _run(copy: Path, tests: Sequence[str], results: multiprocessing.connection.C
 
 def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
     """Run tests on the copy in their own process."""
-    # Elsewhere libraries do not survive a fork, or there is none: then each child imports them anew.
+    # Elsewhere libraries do not survive a fork, or there is none: then each child imports them again.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     ours, theirs = context.Pipe(duplex=False)
     child = context.Process(target=_run, args=(copy, tests, theirs))

@@ -85,7 +85,7 @@ def impossible():
 
 
 class ArchiveAndCatalogue(RuleBasedStateMachine):
-    """A recorder's folder, a reader that stays open beside it, and what both must show."""
+    """A recorder's folder, a reader that stays open, and what both must show."""
 
     @initialize()
     def begin(self):
@@ -237,7 +237,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 ArchiveAndCatalogue.TestCase.settings = settings(
     max_examples=6,
     stateful_step_count=15,
-    # The same runs every time: the default suite tells a changed program from a lucky draw.
+    # The same runs every time: a changed result in the default suite is a changed program.
     derandomize=True,
     database=None,
     # No shrinking: it would take minutes of fsyncs, and fifteen steps can be read as they are.

@@ -1,4 +1,4 @@
-"""Whatever a recording holds of a set, playback gives exactly that, and misses exactly the rest."""
+"""Playback returns exactly the shots of a set in the recording, and misses exactly the rest."""
 
 import itertools
 

@@ -26,7 +26,7 @@ BODIES: dict[str, Any] = {
     "create_token": {"name": "bob", "role": "viewer", "days": 30},
 }
 ORDER = ("get_command", "list_audit", "revoke_token", "log_out")
-"""These come last, since they tell of the others."""
+"""These come last, since they describe the others."""
 STREAM = (
     "id: 42\\nevent: sets\\n"
     'data: {"id":42,"topic":"sets","kind":"set_done","position":"B","set_index":0,"payload":{}}\\n\\n'
@@ -34,7 +34,7 @@ STREAM = (
 TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "told": "taken", "took_s": 0.12}
 BY_HAND: dict[str, tuple[str, Any]] = {
     "stream_events": ("text/event-stream", STREAM),
-    "test_receiver": ("application/json", TRIAL),  # it would need somebody who receives
+    "test_receiver": ("application/json", TRIAL),  # it would need a receiver
 }
 
 

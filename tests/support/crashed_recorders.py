@@ -57,7 +57,7 @@ SETS, SHOTS_PER_SET = 16, 3
 
 
 def crash_settings(kind: str, **tables: Any) -> Settings:
-    """Settings of a test of 144 shots, the last set judged by the ones before; suspicion asks for 3 more.
+    """Settings of a test of 144 shots, the last set assessed by the ones before; suspicion asks for 3 more.
 
     Shots are acknowledged a set at a time where ``kind`` is ``simulated``, and one by one on ``wall``.
     """
@@ -296,7 +296,7 @@ def _not_behind(struck: set[tuple[str, int, int, int]], found: Outcome) -> list[
 def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
     """Rows without numbers and times of shots and what depends on them, in an order that does not, either.
 
-    A set beside the plan is due once the planned one that asks for it has its last shot.
+    An unscheduled set is due once the scheduled one that requests it has its last shot.
     """
 
     def bare(content: Any) -> Any:
@@ -325,7 +325,7 @@ def _differing(whole: dict[str, list[Any]], found: dict[str, list[Any]]) -> Iter
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Compare rows exactly, and floats without numbers beside them to nine digits, or places where small.
+    """Compare rows exactly, and floats without numbers to nine digits, or places where small.
 
     A mean depends on the order of what it is of by its last digits, and so does all that follows from it.
     """
@@ -349,7 +349,7 @@ def _lasting(folder: Path) -> State:
 def _changed(before: State, after: State) -> list[str]:
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     if after.get(HISTORY_FILE, b"").startswith(before.get(HISTORY_FILE, b"")):
-        changed.discard(HISTORY_FILE)  # a start is told there, behind what stood before
+        changed.discard(HISTORY_FILE)  # a start is logged there, after the earlier lines
     return sorted(changed)
 
 
@@ -422,7 +422,7 @@ DESIGNS: dict[str, Callable[[Path, Callable[[int], None]], object]] = {
 
 
 def main() -> None:
-    """Run designs under the library: ``DESIGN...``, each in a folder of its own with a trace beside it."""
+    """Run designs under the library: ``DESIGN...``, each in a folder of its own with its trace."""
     out = Path(sys.argv[1])
     for design in sys.argv[2:]:
         folder, trace = out / design, out / f"{design}.trace"

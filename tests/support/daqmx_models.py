@@ -36,7 +36,7 @@ def context() -> multiprocessing.context.BaseContext:
         os.environ["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         made.set_forkserver_preload(["support.daqmx_models", "support.daqmx_warm"])
         with pytest.MonkeyPatch.context() as patch:
-            patch.delenv("LD_LIBRARY_PATH", raising=False)  # a child finds no driver unless it is told one
+            patch.delenv("LD_LIBRARY_PATH", raising=False)  # a child finds no driver unless it gets one
             forkserver.ensure_running()
     return made
 

@@ -1,4 +1,4 @@
-"""A double with a quick specimen behind it, and a driver told how it is wired."""
+"""A double with a quick specimen behind it, and a driver with its wiring."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class Forwarder:
         self._ended.set()
         for end in (self._listener, *self._ends):
             with suppress(OSError):  # it has ended already
-                end.shutdown(socket.SHUT_RDWR)  # closing alone wakes nobody who waits for it
+                end.shutdown(socket.SHUT_RDWR)  # closing alone wakes no waiting thread
             end.close()
 
     def _accept(self) -> None:

@@ -1,6 +1,6 @@
 """Doubles of NI's libraries for any suite: a brain in this process, or a running one that `nidaqmx` meets.
 
-A `conftest.py` beside the tests imports the fixtures: ``from doubles_bench import doubles, meeting``.
+A `conftest.py` next to the tests imports the fixtures: ``from doubles_bench import doubles, meeting``.
 A module sets ``DESCRIPTION`` for other boards than the default ones.
 """
 
@@ -46,7 +46,7 @@ def one_board_description(twin: TwinParameters | None = None) -> Description:
 
 
 class SteppedClock:
-    """Time that passes only while somebody waits, and then at once up to the next thing to happen."""
+    """Time that passes only during a wait, and then at once up to the next thing to happen."""
 
     def __init__(self, now_ns: int = 1_000_000_000) -> None:
         self.time_ns = now_ns

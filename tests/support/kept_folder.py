@@ -1,4 +1,4 @@
-"""A short test's data folder, recorded once a process and laid out anew for each test that damages it."""
+"""A short test's data folder, recorded once a process and written again for each test that corrupts it."""
 
 from __future__ import annotations
 

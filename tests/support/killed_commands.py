@@ -59,7 +59,7 @@ EVENT_OF: Mapping[str, str] = {
     "approve_baseline": "baseline_approved",
     "renew_baseline": "baseline_retired",
 }
-"""Kind of an order, and of the event that tells of what it did."""
+"""Kind of a command, and of the event with its result."""
 
 
 def person(number: int) -> str:

@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 GRACE_S = 10.0
-"""What was told to end takes a moment, on a loaded machine a long one; only a leak waits it out."""
+"""A process asked to end takes a moment, on a loaded machine a long one; only a leak waits it out."""
 
 LONG_LIVED_FILES = {
     r"anon_inode:.*": "the pollers of gRPC's core, one for the life of a process",

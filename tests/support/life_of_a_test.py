@@ -1,4 +1,4 @@
-"""A test on a rig in memory, with its sets in files, in which happens what nobody can compute again."""
+"""A test on a rig in memory, with its sets in files, with events that cannot be computed again."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def lived(folder: Path) -> Line:
     """Record a test with all irreproducible data: gaps, commands, pauses, disabled transducers, repetitions.
 
     D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
-    one set; baselines freeze, C's is retired before and begun again; the wall changes at B.
+    one set; baselines freeze, C's is retired before and started again; the wall changes at B.
     """
     line = Line(folder, listen_every_s=0.0)
     orders, stops, stop = dict(ORDERS), set(STOPS), threading.Event()

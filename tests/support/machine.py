@@ -1,4 +1,4 @@
-"""A computer whose clocks pass only while somebody sleeps: set, drifting, started again."""
+"""A computer whose clocks advance only during a sleep: set, drifting, restarted."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ class ScriptedInstruments:
 
 
 class QuietHeartbeat:
-    """Keeps what it is told."""
+    """Heartbeat that keeps its activities."""
 
     def __init__(self) -> None:
         self.activities: list[str] = []
@@ -171,7 +171,7 @@ class QuietHeartbeat:
 
 
 class NoPicture:
-    """Nobody watches."""
+    """Live figure without a viewer."""
 
     def due(self, position: str) -> bool:
         return False

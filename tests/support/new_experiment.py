@@ -1,4 +1,4 @@
-"""A data folder whose experiment has begun: the catalogue as it is before the first set."""
+"""A data folder whose experiment has started: the catalogue as it is before the first set."""
 
 from __future__ import annotations
 

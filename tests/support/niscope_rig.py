@@ -1,4 +1,4 @@
-"""A double with one ultrasonic probe, and the NI-SCOPE driver told how it is wired."""
+"""A double with one ultrasonic probe, and the NI-SCOPE driver with its wiring."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A service manager that notes what the services it started tell it."""
+"""A service manager that records the notifications of its services."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Every picture of the docs, made from a test on the twin: real commands, the real page, headless Chromium.
 
-``python -m support.pictures [FOLDER]`` in ``tests/`` makes them anew where the docs show them, or elsewhere.
+``python -m support.pictures [FOLDER]`` in ``tests/`` writes them where the docs show them, or elsewhere.
 The twin's test is seeded and goes on in one folder from hour to hour. A picture is taken once it shows what
 it is taken for, and carries that text with it. Which strike the live waveform shows is a matter of time: it
 is shown ten times a second at most, and here hours take seconds.

@@ -56,7 +56,7 @@ class PseudoTerminal:
             raise MachineTooSlowError("another word of the command")
         try:
             new = os.read(self._screen, 65536)
-        except OSError:  # Linux: nobody has the other side open any more
+        except OSError:  # Linux: the other side is closed
             new = b""
         self.written += self._decoded(new)  # a read may end within a character
         return bool(new)

@@ -1,6 +1,6 @@
-"""A recorder on a clock that nobody waits for, under a disk that refuses single calls; each case in a fork.
+"""A recorder on a simulated clock, under a disk that refuses single calls; each case in a fork.
 
-Run as a program under `refusing_files`: ``FOLDER`` holds a test that has begun; cases come as JSON lines on
+Run as a program under `refusing_files`: ``FOLDER`` holds a started test; cases come as JSON lines on
 standard input, and what became of each goes to standard output. The real line runs, with catalogue, journal,
 compaction and log; rig and features are in memory, and a sleep of anybody's only moves the clock on.
 """
@@ -69,7 +69,7 @@ def refusal_settings() -> Settings:
 
 
 class Time:
-    """The machine's clocks, moved by whoever sleeps; ``look`` is called at each step."""
+    """The machine's clocks, advanced by each sleep; ``look`` is called at each step."""
 
     def __init__(self) -> None:
         self.now_ns = parse_utc("2026-01-01T00:00:00Z")
@@ -87,7 +87,7 @@ class Time:
 
 
 class Stop(threading.Event):
-    """Nobody stops; waiting for it moves the clock on."""
+    """Event that is never set; waiting for it advances the clock."""
 
     def __init__(self, clock: Time) -> None:
         super().__init__()
@@ -256,7 +256,7 @@ def left(folder: Path) -> list[str]:
 
 
 class Trouble:
-    """Something that somebody does to the folder, and undoes after a while."""
+    """Disturbance of the folder that is undone after a while."""
 
     def __init__(self, clock: Time, for_s: float, do: Callable[[], Callable[[], Any]]) -> None:
         self._clock, self._for_s, self._do = clock, for_s, do

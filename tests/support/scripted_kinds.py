@@ -108,7 +108,7 @@ class Hammer:
 
 
 class Relay:
-    """A relay at a counter that somebody else's program pulses: here by NI's package itself."""
+    """A relay at a counter that another program pulses: here by NI's package itself."""
 
     def strike(self, key: ShotKey) -> None:
         import nidaqmx

@@ -21,7 +21,7 @@ from simulator.doubles.serial.link import SerialLink, SocketLink, pseudo_termina
 NO_TERMINALS = pseudo_terminals_missing()
 """Why there is nothing to test here; empty where there is."""
 REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
-"""The doubles answer within a millisecond, on a busy machine later; nobody waits for what never comes, see
+"""The doubles answer within a millisecond, on a busy machine later; no test waits for a missing reply, see
 `DeadlineClock`."""
 
 

@@ -103,7 +103,7 @@ def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
     """Return every row that a repeated experiment must repeat, without the time of writing."""
     with open_catalogue(folder) as catalogue:
         return {
-            # A file tells by which end of the schedule its recorder went.
+            # A file shows by which end of the schedule its recorder went.
             "sets": [replace(row, file_sha256=None) for row in catalogue.rows(SetRow, purpose="any")],
             "set_features": catalogue.rows(FeatureRow, scope="set", purpose="any"),
             "shot_features": catalogue.rows(FeatureRow, scope="shot", purpose="any"),

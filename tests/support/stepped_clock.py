@@ -1,4 +1,4 @@
-"""The clock of a test in real time that nobody waits for."""
+"""A simulated clock for a test in real time."""
 
 from __future__ import annotations
 

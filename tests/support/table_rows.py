@@ -1,4 +1,4 @@
-"""Every row of a catalogue as it stands in its file, checksums included."""
+"""Every row of a catalogue as stored in its file, checksums included."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Every call that changed a file, and what a disk may show after a crash behind any of them.
 
 `traced_files.c` writes the calls down below Python, SQLite and HDF5 alike; `Disk` takes them up one by one
-and tells what each model of a crash leaves. The models (`MODELS`):
+and returns what each model of a crash leaves. The models (`MODELS`):
 
 - ``kill``: everything that was written; the process died, not the machine.
 - ``nothing``: of what was not synced nothing, names included.
@@ -150,7 +150,7 @@ State = Mapping[str, bytes | None]
 
 
 class Disk:
-    """A folder on a disk that makes durable only what it is told to.
+    """A folder on a disk that makes durable only what is synced.
 
     Attributes
     ----------

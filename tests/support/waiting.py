@@ -29,7 +29,7 @@ class MachineTooSlowError(Exception):
 
 
 def happened(wait: Callable[[float], bool], what: str) -> None:
-    """Wait with whatever takes a timeout and returns whether it happened."""
+    """Wait with a function that takes a timeout and returns whether it happened."""
     if not wait(WAIT_S):
         raise MachineTooSlowError(what)
 

@@ -88,7 +88,7 @@ def test_two_unlike_spheres_exchange_momentum_and_energy(ratio):
     impulse = np.trapezoid(struck_by, force.time_s)
     # Steps of 1e-7 s in a contact of 1e-4 s: order 5/2 at touch and release.
     assert impulse == pytest.approx(2 * mu * speed, rel=1e-6)
-    # The highest sample lies up to half a step beside the peak.
+    # The highest sample is up to half a step from the peak.
     assert struck_by.max() == pytest.approx(stiffness * deepest**1.5, rel=1e-5)
     assert force.time_s[np.flatnonzero(struck_by)[-1]] == pytest.approx(duration, abs=2e-7)  # the sampling
     striker = speed - impulse / MASS_KG

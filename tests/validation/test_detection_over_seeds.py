@@ -54,7 +54,7 @@ def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: Module
     low, high, expected = detection.predictive_counts([outcome], draws=400)
     assert outcome.first_alarm_h is None
     assert low <= outcome.outliers <= high
-    # 72 judged sets at the nominal rate; 400 draws of a count that scatters by less than 1.
+    # 72 assessed sets at the nominal rate; 400 draws of a count that scatters by less than 1.
     assert expected == pytest.approx(0.0027 * outcome.judged, abs=0.2)
 
 

@@ -1,4 +1,4 @@
-"""The study of the levels of nuisance: the documented command says what was judged."""
+"""The study of variability levels: the documented command prints the assessed sets."""
 
 import json
 import subprocess

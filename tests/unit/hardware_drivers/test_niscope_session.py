@@ -29,7 +29,7 @@ SETUP = Setup(
 
 
 class Session:
-    """An acquisition that hands over what it is told to."""
+    """An acquisition that returns the given records."""
 
     def __init__(self, **changes):
         self.changes = changes

@@ -13,7 +13,7 @@ PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM1"), identity="
 
 
 class AnsweringLine:
-    """The supply's end of the line: it keeps what it is told, and may lie about one answer."""
+    """The supply's end of the line: it stores commands, and may falsify one answer."""
 
     name = "the supply"
     connected = True
@@ -110,7 +110,7 @@ def test_a_protection_that_is_not_queried_is_reported_as_unknown(changes, unknow
 
 
 class StuckLine(AnsweringLine):
-    """A supply whose output stays on whatever it is told."""
+    """A supply whose output stays on after any command."""
 
     def query_flag(self, question, deadline_s, **_):
         return question == "OUTP?"
@@ -123,4 +123,4 @@ def test_an_output_that_reads_back_as_on_is_never_reported_as_off():
     line = StuckLine()
     with pytest.raises(ConnectionLostError, match=r"what its output does is unknown: .* says it is on"):
         supply_on(line).make_safe()
-    assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried once more
+    assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried again

@@ -303,7 +303,7 @@ class TestAhead:
         bench = make_bench(executor=held)
         shoot(bench, key(0))
         submitted = list(held.submitted)
-        # The second to fourth strike do not come; they were begun together with the fifth.
+        # The second to fourth strike do not come; they were started together with the fifth.
         clock.now_ns += 12 * NS_PER_S
         assert_same(shoot(bench, key(3, attempt=1)), shoot(make_bench(), key(3, attempt=1)))
         assert held.submitted == submitted
@@ -312,7 +312,7 @@ class TestAhead:
     def test_a_disabled_position_is_expected_again_after_a_strike(self, make_bench, clock, executor):
         bench = make_bench(executor=executor)
         list(self.strike_all(bench, clock, [key(9, 0, "B")], 0.5))
-        for set_index in (1, 2):  # position D strikes no more
+        for set_index in (1, 2):  # position D stops striking
             executor.submitted.clear()
             shots = [key(i, set_index) for i in range(10)]
             list(self.strike_all(bench, clock, shots, 0.5 + 0.5 * set_index))
@@ -399,7 +399,7 @@ def test_without_noise_the_record_is_the_models_force(make_bench, model):
     t = waveform.time_s() + truth["trigger_time_s"]
     dynamic_n = np.interp(t, force.time_s, force.force_n - force.preload_n, left=0.0)
     error_v = waveform.volts() - truth["sensor_gain_v_per_n"] * dynamic_n
-    # Where a contact opens, the dashpots' force jumps between two points of the grid: nobody knows where.
+    # Where a contact opens, the dashpots' force jumps between two points of the grid, at an unknown place.
     jumps_s = force.time_s[1:-1][np.abs(np.diff(force.force_n, 2)) > 0.1]
     smooth = np.all(np.abs(t[:, np.newaxis] - jumps_s) > 1.5e-6, axis=1)
     assert np.count_nonzero(~smooth) < 0.03 * t.size

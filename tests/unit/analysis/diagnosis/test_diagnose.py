@@ -112,7 +112,7 @@ def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
     assert alone[4].cause == UNDETERMINED
     assert alone[4].abrupt > 0.9
     confirmed = list(diagnoses(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
-    # It is remembered of all sets to come, though nothing is struck beside the plan any more.
+    # It is remembered of all sets to come, though no unscheduled set is struck any more.
     assert {one.cause for one in confirmed[6:]} == {COUPLING}
     assert confirmed[-1].probability > 0.9
     assert confirmed[-1].confirmed
@@ -282,6 +282,6 @@ def test_averages_scatter_as_autocorrelated_sets_do(phi: float) -> None:
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     found = covariance_of_averages(n, phi, confirmation_ago)
     assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
-    # The set beside the plan is no copy of the planned one that it follows.
+    # The unscheduled set is no copy of the scheduled one that it follows.
     confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
     assert found[3] == pytest.approx([*(weights(n) @ confirmation_change), 1.0])

@@ -50,7 +50,7 @@ def test_bins_without_values_stay_empty():
 
 @pytest.mark.parametrize("starts", [[0, 1, 2, 3, 4, 5], [0, 2, 4], [0, 4]])
 def test_bins_of_bins_are_bins_of_sets(starts):
-    """An outlier is told at each level."""
+    """An outlier is visible at each level."""
     whole = joined_bins(bins(), [0])
     assert joined_bins(joined_bins(bins(), starts), [0]).tobytes() == whole.tobytes()
     assert whole[0]["n_outliers"] == 2

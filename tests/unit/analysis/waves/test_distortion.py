@@ -1,4 +1,4 @@
-"""Tops made lower and samples closed up, beside the other shots of a set."""
+"""Lowered tops and lost samples, compared with the other shots of a set."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_a_strike_of_another_height_arrival_or_width_is_not_clipped():
 
 
 def test_scatter_in_all_shots_is_not_a_soft_limit():
-    """Contacts seated anew let the reflected wave's height scatter by 4 %, as tanh to .95 moves it once."""
+    """Re-seated contacts let the reflected wave's height scatter by 4 %, as tanh to .95 moves it once."""
     ratios = 0.5 * (1.0 + 0.04 * np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6]))
     assert flags_of([clean(1, k, amplitude_ratio=ratio)[0] for k, ratio in enumerate(ratios)]) == [()] * 10
 
@@ -73,7 +73,7 @@ def test_only_the_incident_wave_shows_a_limit_among_many_walls():
 
 
 def test_noise_bends_no_top():
-    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 3 and more are told."""
+    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 3 and more are detected."""
     assert flags_of(clean(40, 40, noise_fraction=0.1)) == [()] * 40
 
 

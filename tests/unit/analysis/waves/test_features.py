@@ -260,7 +260,7 @@ def test_an_electrical_spike_is_not_a_strike():
 @pytest.mark.parametrize("decay_s", [1e-6, 10e-6, 70e-6, 0.2e-3, 5e-3])
 @pytest.mark.parametrize("height_v", [0.3, -3.0, 4.9])
 def test_a_record_triggered_by_a_coil_spike_is_a_false_trigger_and_not_a_wall(height_v, decay_s, ringing_hz):
-    """Whatever it looks like to the filters: too narrow, a wave without a reflection, a plateau."""
+    """Any form it has after the filters: too narrow, a wave without a reflection, a plateau."""
     t = NOISY.time_s()
     noise = 0.025 * np.random.default_rng(2).standard_normal(t.size)
     shot = extract_features(waveform_of(coil_spike(t, height_v, decay_s, ringing_hz) + noise))
@@ -327,7 +327,7 @@ def test_a_short_record_needs_no_early_wave(isw_time_s):
     assert shot.flags == ()
     assert shot.tof_mf_s == pytest.approx(scene.tof_s, abs=1e-6)  # 3 % of noise: .12 us
     lost = features_of(scene.with_(amplitude_ratio=0.0))
-    # What a sound wall's wave needs, 510 us, is no longer there for the last one: nobody can tell.
+    # What a sound wall's wave needs, 510 us, is no longer there for the last one.
     assert lost.flags == (("no_psw",) if isw_time_s < 390e-6 else ("missed",))
 
 

@@ -77,7 +77,7 @@ def test_noise_colour_uses_the_whole_record_when_the_pretrigger_is_not_quiet(isw
 
 
 def test_the_foot_of_a_wave_is_no_noise():
-    """A sech^2 pulse stands at 5 % of its height where the quiet stretch ends: five times this noise."""
+    """A sech^2 pulse is at 5 % of its height where the quiet stretch ends: five times this noise."""
     scene = SCENE.with_(noise_fraction=0.0)
     time_s = scene.time_s()
     wave = 1.0 / np.cosh(np.clip(1.7627 * (time_s - scene.isw_time_s) / 64.7e-6, -50.0, 50.0)) ** 2

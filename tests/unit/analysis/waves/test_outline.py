@@ -1,4 +1,4 @@
-"""Shots beside the others of their set, and of files of one or many walls."""
+"""Shots compared with the others of their set, and of files of one or many walls."""
 
 import numpy as np
 import pytest

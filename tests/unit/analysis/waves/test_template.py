@@ -1,4 +1,4 @@
-"""A shot beside its transducer's own waves."""
+"""A shot compared with the waves of its transducer."""
 
 import math
 from dataclasses import replace

@@ -227,7 +227,7 @@ def kind_of(
 def prove(pytester, monkeypatch):
     """Install a kind for this process and run the one command on it."""
     offer(monkeypatch, pytester.path / "site", OFFERED)
-    # The other plugins that are installed here would be imported anew for each run.
+    # The other plugins that are installed here would be imported again for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     configuration = pytester.path / "rig.toml"
     configuration.write_text(CONFIGURATION)

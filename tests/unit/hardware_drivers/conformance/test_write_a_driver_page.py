@@ -43,7 +43,7 @@ def test_the_command_of_the_page_prints_its_documented_output(driver, expected, 
     pytester.makepyfile(acme_scope=driver, acme_double=DOUBLE)
     monkeypatch.syspath_prepend(pytester.path)
     (pytester.path / "rig.toml").write_text(RIG, encoding="utf-8")
-    # The other plugins that are installed here would be imported anew for each run.
+    # The other plugins that are installed here would be imported again for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     plugins = [
         "--tb=line",

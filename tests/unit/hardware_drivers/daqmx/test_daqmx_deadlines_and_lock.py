@@ -18,7 +18,7 @@ from hardware_drivers.errors import BusyError, ConfigurationError
 
 @pytest.fixture
 def client():
-    """Return a name nobody else uses."""
+    """Return a unique name."""
     return f"test-{uuid.uuid4().hex}"
 
 

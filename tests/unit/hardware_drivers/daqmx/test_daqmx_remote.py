@@ -30,7 +30,7 @@ def channel_to(address):
 
 
 def test_a_new_channel_reaches_a_server_that_is_back_at_once():
-    """Whatever pause an old channel is in: the rungs of the recovery are few."""
+    """For any pause of an old channel: the rungs of the recovery are few."""
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(1))
         server = grpc.server(pool)
@@ -75,7 +75,7 @@ def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
     ],
 )
 def test_the_grpc_reason_is_in_the_message_and_in_the_finding_of_doctor(address, reason):
-    """NI's package has one text for whatever makes a server unavailable."""
+    """NI's package has one text for every unavailable server."""
     pytest.importorskip("nidaqmx")
     from hardware_drivers.daqmx.survey import survey
 

@@ -1,4 +1,4 @@
-"""The X Series watchdog stands over each strike: started before the pulse, asked and stopped after it."""
+"""The X Series watchdog guards each strike: started before the pulse, checked and stopped after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LabVIEW files with all channels in one group are played by the channels' names; nobody writes a pattern."""
+"""LabVIEW files with all channels in one group are played by the channels' names, without a pattern."""
 
 import pytest
 from support.archived_sets import make_shot

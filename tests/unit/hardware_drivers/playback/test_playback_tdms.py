@@ -48,7 +48,7 @@ def test_codes_and_their_polynomial_pass_to_the_last_bit(tmp_path):
 
 
 def replace_range(waveform):
-    """The file tells neither range nor date: the range is what the extreme codes mean."""
+    """The file contains neither range nor date: the range is what the extreme codes mean."""
     calibration = waveform.calibration
     _, high = calibration.full_scale_counts
     constant, slope = calibration.coefficients_v
@@ -110,7 +110,7 @@ def test_big_endian_codes_keep_their_size(tmp_path):
 
 
 def daqmx_raw_file(path, counts, scalers, properties):
-    """Codes as DAQmx logs them: a "format changing scaler" tells their type; npTDMS cannot write this."""
+    """Codes as DAQmx logs them: a "format changing scaler" states their type; npTDMS cannot write this."""
 
     def text(value):
         return struct.pack("<L", len(value)) + value.encode()

@@ -80,7 +80,7 @@ def test_every_record_of_an_echo_beyond_the_range_clips():
 
 
 def test_noise_clips_single_records_although_their_mean_shows_nothing():
-    """The crest stands at the last code: half of the records clip there, and their mean stays below it."""
+    """The crest is at the last code: half of the records clip there, and their mean stays below it."""
     # A wall whose echo's crest falls on a sample: 6.785 mm are 2,300 ns.
     edge = replace(SMOOTH, back_wall_v=1.0, attenuation_db_per_m=0.0, noise_rms_v=0.02, averages=1_000)
     whole = build_specimen(

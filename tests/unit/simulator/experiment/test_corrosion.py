@@ -82,7 +82,7 @@ def test_a_table_of_depths_replaces_the_law():
     hours = (-5.0, 0.0, 10.0, 15.0, 20.0, 30.0, 40.5, 41.0, 1e4)
     expected = [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.725, 0.95, 0.95]
     np.testing.assert_allclose(depths(thinning, hours=hours), expected, rtol=1e-14)  # rounding
-    # Whatever seed and position: nothing is drawn.
+    # For any seed and position: nothing is drawn.
     assert np.array_equal(depths(thinning, seed=7, position="C"), depths(thinning))
     history = wall_history(thinning, seed=1, position="B")
     assert not history.at(40.9).is_hole

@@ -211,7 +211,7 @@ def test_striker_and_wear_move_time_of_flight_with_the_width_of_the_incident_wav
     ln_tof = np.log([one.tof_mf_s for one in measured])
     slope = np.polyfit(ln_width, ln_tof, 1)[0]
     assert np.ptp(ln_width) > 0.03
-    # .81 was found with the paper's plate over all its sources; each of them lies some .1 beside it.
+    # .81 was found with the paper's plate over all its sources; each of them differs from it by some .1.
     assert slope == pytest.approx(0.81, abs=0.15)
 
 

@@ -427,7 +427,7 @@ def test_a_spike_at_the_record_s_edge_is_drawn_as_far_as_it_reaches():
     whole, part = interference(**spike).volts(-1e-5, 1e7, 1_200), interference(**spike).volts(0.0, 1e7, 1_001)
     # Where one ends a sample sooner than the other, 2e-11 of its height is left (`SPIKE_REACH_FWHM`).
     np.testing.assert_allclose(part, whole[100:1_101], rtol=1e-9, atol=2e-11)
-    assert part[0] == pytest.approx(0.5, rel=1e-9)  # half a width beside its peak
+    assert part[0] == pytest.approx(0.5, rel=1e-9)  # half a width from its peak
 
 
 def test_spikes_come_at_their_rate_and_with_either_sign(specimen):

@@ -50,7 +50,7 @@ def test_kept_arrays_are_read_and_not_computed(tmp_path):
     assert_same_bits(first, ARRAYS)
     again = kept_arrays(tmp_path / "new" / "folder", "key", never)
     assert_same_bits(again, ARRAYS)
-    again["cube"][0, 0, 0] = 5.0  # whoever gets them may change them
+    again["cube"][0, 0, 0] = 5.0  # the caller may change them
 
 
 def test_without_a_folder_nothing_is_kept(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""What is compiled is told, once, and not what others of it need."""
+"""Each compilation is reported once, without those it needs."""
 
 import numba
 

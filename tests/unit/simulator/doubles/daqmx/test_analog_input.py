@@ -64,7 +64,7 @@ def test_codes_and_volts_are_the_twin_s_bit_for_bit(brain, me, position, shot):
     wide = me("GetChanAttribute", task, attribute=RAW_SIZE)["value"] == 32
     codes = read(me, task, wide)
 
-    # The twin by itself, told only the figures of the board's kind.
+    # The twin by itself, with only the figures of the board's kind.
     wiring = brain.bench.description.transducers[position]
     adc = AdcParameters(resolution_bits=resolution)
     specimen = build_specimen(

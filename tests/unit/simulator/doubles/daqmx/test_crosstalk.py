@@ -183,7 +183,7 @@ def test_a_pulse_that_is_stopped_starts_at_its_own_end_or_never(brain, me, passe
 
 
 def test_a_wave_on_crosstalk_is_separated_and_keeps_its_shape():
-    """What is left of the ringing when the wave comes moves the trigger and adds to the volts, no more."""
+    """What is left of the ringing when the wave comes moves the trigger and adds to the volts only."""
     records = []
     for crosstalk in ({}, {"off_v": 0.2, "decay_s": 20e-3}):
         brain = made()

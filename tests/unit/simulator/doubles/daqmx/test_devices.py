@@ -268,7 +268,7 @@ def test_a_reset_takes_low_what_expiry_took_high(brain, me):
 )
 def test_a_watchdog_guards_lines_of_its_own_board_only(brain, me, names, states, code):
     assert code_of(line_watchdog, me, names, states) == code
-    # The task is there and was told nothing: it guards nothing.
+    # The task exists without settings: it guards nothing.
     (task,) = brain.bench.tasks
     me("StartTask", task)
     brain.bench.clock.pass_s(1.0)

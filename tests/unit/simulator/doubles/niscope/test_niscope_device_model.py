@@ -187,7 +187,7 @@ def test_a_trigger_delay_moves_the_echo():
         each("InitiateAcquisition")
     (records, _), (shifted, described) = usual.fetch(), delayed.fetch()
     assert described[0][1] == late * 1e-8
-    # The shifted time axis is rounded anew: a code may flip where the voltage is half-way between two.
+    # The shifted time axis is rounded again: a code may flip where the voltage is half-way between two.
     assert np.abs(records[0, late:].astype(int) - shifted[0, :-late]).max() <= 4
 
 

@@ -39,7 +39,7 @@ VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 
 
 class Script:
-    """A brain that answers as told and keeps what it was asked."""
+    """A brain with scripted answers that records its calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Mapping[str, Any]]] = []

@@ -1,4 +1,4 @@
-"""Building the C library: once, whole, whoever else builds; a clear remedy where it cannot be."""
+"""Building the C library: once and completely, also in parallel; a clear remedy on failure."""
 
 import os
 import subprocess
@@ -84,7 +84,7 @@ def test_the_source_compiles_without_a_warning(tmp_path):
     for name in ("nidaqmx", "niScope"):
         written.write_text(library_source(name), encoding="utf-8")
         checked = subprocess.run(
-            # A reserved pointer is a parameter that nobody uses; attributes are NI-DAQmx's only.
+            # A reserved pointer is an unused parameter; attributes are NI-DAQmx's only.
             [
                 "cc",
                 "-std=gnu11",
